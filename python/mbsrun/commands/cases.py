@@ -24,9 +24,9 @@ from mbsgen.expressions import FLOATS, ExpressionError, evaluate, parse
 from mbsrun.commands.console import print_table, say, show_progress
 from mbsrun.ocp.cases.cases import Case, CaseSolver, solve_cases
 from mbsrun.ocp.cases.dispatch import solve_elsewhere
+from mbsrun.ocp.cases.layers import Start, find_starts, keep_paths
 from mbsrun.ocp.cases.neighbours import Origin, follow, solve_beside, solve_neighbours
 from mbsrun.ocp.cases.told import Told, name_case, read_told, tell, write_told
-from mbsrun.ocp.cases.tree import Edge, find_trees, keep_paths
 from mbsrun.ocp.searching.cluster import open_client
 from mbsrun.ocp.searching.multistart import end_at_interrupt
 from mbsrun.ocp.solution.record import open_record
@@ -191,16 +191,18 @@ def _outcomes(
 def _outcomes_beside(
     file: Path, family: Family, values: Sequence[Values], cases: Sequence[Case], left: Sequence[int], wish: Wish
 ) -> Outcomes:
-    """Solve along trees of all cases. The ones that the record knows are solved again where others start from them."""
-    edges = keep_paths(find_trees(list_places(values, cases)), left)
+    """Solve in layers of all cases. The ones that the record knows are solved again where others start from them."""
+    starts = keep_paths(find_starts(list_places(values, cases)), left)
     asked = set(left)
     if wish.workers == 0:
-        for k, outcome in solve_neighbours(cases, edges, family.plants, wish.threads):
+        for k, outcome in solve_neighbours(cases, starts, family.plants, wish.threads):
             if k in asked:
                 yield k, tell(outcome)
         return
     with _open_pool(file, wish.workers) as pool:
-        for k, told in follow(edges, lambda edge, origin: pool.submit(_solve_beside, values[edge.case], edge, origin)):
+        for k, told in follow(
+            starts, lambda start, origin: pool.submit(_solve_beside, values[start.case], start, origin)
+        ):
             if k in asked:
                 yield k, told
 
@@ -229,9 +231,9 @@ def _solve_there(values: Values) -> Told:
     return tell(_HERE["solver"].solve(case))
 
 
-def _solve_beside(values: Values, edge: Edge, origin: Origin | None) -> tuple[Told, Origin]:
+def _solve_beside(values: Values, start: Start, origin: Origin | None) -> tuple[Told, Origin]:
     (case,) = _HERE["family"].list_cases([values], check=True)
-    outcome, own = solve_beside(_HERE["solver"], case, edge, origin)
+    outcome, own = solve_beside(_HERE["solver"], case, start, origin)
     return tell(outcome), own
 
 

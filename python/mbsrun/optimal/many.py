@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from mbsgen.documents import Data, abbreviate
 from mbsrun.kernel import is_count
 from mbsrun.ocp.cases.cases import Case, Outcome, solve_cases
+from mbsrun.ocp.cases.layers import Place, find_starts
 from mbsrun.ocp.cases.neighbours import solve_neighbours
 from mbsrun.ocp.cases.programs import identify
-from mbsrun.ocp.cases.tree import Place, find_trees
 from mbsrun.ocp.problem.phases import Plants
 from mbsrun.ocp.solution.solution import Run
 from mbsrun.ocp.statement.checks import Line, ProblemError
@@ -242,7 +242,7 @@ def solve_family(family: Family, over: Over, guesses: Sequence[Any] | None, way:
         _refuse(family.name, "guesses", "cases start from their neighbours", "leave out guesses, or neighbours")
     cases, found = family.list_cases(values, guesses, check=way.check), dict[int, Any]()
     if way.neighbours:
-        outcomes = solve_neighbours(cases, find_trees(list_places(values, cases)), family.plants, way.threads)
+        outcomes = solve_neighbours(cases, find_starts(list_places(values, cases)), family.plants, way.threads)
     else:
         outcomes = solve_cases(cases, family.plants, way.threads)
     for k, outcome in outcomes:

@@ -1,16 +1,18 @@
-"""Trees of neighbouring cases: spanning, least, and of the set of cases alone."""
+"""Neighbouring cases in layers: the nearest of earlier ones, of the set of cases alone, and mixed to first order."""
 
 from __future__ import annotations
 
 from concurrent.futures import Future
+from itertools import pairwise
 from typing import cast
 
 import numpy as np
 import pytest
-from scipy.sparse.csgraph import minimum_spanning_tree
 
-from mbsrun.ocp.cases.neighbours import FEWEST, Origin, follow
-from mbsrun.ocp.cases.tree import Edge, Place, find_trees, keep_paths
+from mbsrun.ocp.cases.layers import Place, Source, Start, find_starts, keep_paths, weigh
+from mbsrun.ocp.cases.neighbours import FEWEST, HOPED, Origin, Waiting, follow
+from mbsrun.ocp.evaluation.stages.binding import Point
+from mbsrun.ocp.methods import Near, mix
 from mbsrun.ocp.solving.phases import Neighbour
 
 
@@ -19,73 +21,122 @@ def place(points: np.ndarray, kind: str = "") -> list[Place]:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_the_sum_of_distances_is_the_least(seed: int) -> None:
-    """As SciPy's Kruskal has it, over the ranges of the numbers."""
+def test_sources_are_the_nearest_of_earlier_layers(seed: int) -> None:
+    """Over the ranges of the numbers; the layers have 1, 1, 2, 4, 8, ... cases."""
     x = np.random.default_rng(seed).uniform(0, [1, 1000, 1e-3], (20, 3))
     unit = (x - x.min(axis=0)) / np.ptp(x, axis=0)
-    distances = np.linalg.norm(unit[:, None] - unit, axis=2)
-    edges = find_trees(place(x))
-    assert sum(edge.distance for edge in edges) == pytest.approx(minimum_spanning_tree(distances).sum())
-    seen = set[int | None]([None])
-    for edge in edges:
-        assert edge.parent in seen
-        seen.add(edge.case)
-    assert len(edges) == len(x)
-    assert edges[0].case == np.argmin(np.linalg.norm(unit - 0.5, axis=1))
+    starts = find_starts(place(x))
+    assert sorted(start.case for start in starts) == list(range(20))
+    assert starts[0] == Start(int(np.argmin(np.linalg.norm(unit - 0.5, axis=1))))
+    begins = [1, 2, 4, 8, 16, 20]
+    for first, end in pairwise(begins):
+        earlier = [start.case for start in starts[:first]]
+        for start in starts[first:end]:
+            distances = np.linalg.norm(unit[earlier] - unit[start.case], axis=1)
+            assert [source.distance for source in start.sources] == pytest.approx(np.sort(distances)[:8])
+            for source in start.sources:
+                assert unit[source.case] - unit[start.case] == pytest.approx(source.offset, abs=1e-15)
+
+
+def test_cases_of_a_grid_halve_its_gaps() -> None:
+    """Of nine places: the middle, the ends, and then the middles between these."""
+    starts = find_starts(place(np.arange(9.0)[:, None]))
+    assert starts[0].case == 4
+    assert {start.case for start in starts[1:3]} == {0, 8}
+    assert {start.case for start in starts[3:5]} == {2, 6}
+    assert {start.distance for start in starts[5:]} == {1 / 8}
 
 
 def test_the_order_of_cases_does_not_matter() -> None:
     """Also on a grid, where many distances are equal."""
     x = np.array([(a, b) for a in range(5) for b in range(4)], dtype=float)
     order = np.random.default_rng(0).permutation(len(x))
-    first, again = find_trees(place(x)), find_trees(place(x[order]))
-    back = [Edge(int(order[e.case]), None if e.parent is None else int(order[e.parent]), e.distance) for e in again]
+    first, again = find_starts(place(x)), find_starts(place(x[order]))
+    back = [
+        Start(int(order[s.case]), tuple(Source(int(order[source.case]), source.offset) for source in s.sources))
+        for s in again
+    ]
     assert back == list(first)
 
 
-def test_kinds_have_trees_of_their_own_and_equal_cases_are_neighbours() -> None:
+def test_kinds_have_layers_of_their_own_and_equal_cases_are_neighbours() -> None:
     x = np.array([[0.0], [1.0], [1.0]])
-    edges = find_trees([*place(x, "a"), *place(x[:1], "b"), Place("c", ())])
-    assert {edge.case for edge in edges if edge.parent is None} == {0, 3, 4}
-    assert Edge(2, 1, 0.0) in edges
-    assert find_trees([]) == ()
+    starts = find_starts([*place(x, "a"), *place(x[:1], "b"), Place("c", ())])
+    assert {start.case for start in starts if start.parent is None} == {0, 3, 4}
+    assert (starts[2].parent, starts[2].distance) == (1, 0.0)
+    assert find_starts([]) == ()
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 4, 6])
+def test_weights_take_linear_functions_to_a_case(count: int) -> None:
+    """Where sources are enough to span the space; they have the sum 1 always, and repeat a case that is the same."""
+    rng = np.random.default_rng(count)
+    offsets = rng.uniform(-1, 1, (count, 2))
+    weights = weigh([Source(k, tuple(offset)) for k, offset in enumerate(offsets.tolist())])
+    assert weights.sum() == pytest.approx(1)
+    if count > 2:
+        assert weights @ offsets == pytest.approx(np.zeros(2), abs=1e-4)
+    same = weigh([Source(9, (0.0, 0.0)), *(Source(k, tuple(offset)) for k, offset in enumerate(offsets.tolist()))])
+    assert same.tolist() == [1.0] + count * [0.0]
+
+
+def test_two_sources_beside_a_case_count_by_their_distances() -> None:
+    """Linear interpolation."""
+    assert weigh([Source(0, (-0.1,)), Source(1, (0.3,))]) == pytest.approx([0.75, 0.25], abs=1e-5)
+
+
+def test_a_mixture_keeps_multipliers_of_bounds() -> None:
+    """They are at least 0, also where weights are negative."""
+
+    def end(x: float) -> Near:
+        return Near(b"", Point(*(np.array([x, 2 * x]) for _ in range(4))))
+
+    mixed = mix([end(1.0), end(4.0)], np.array([2.0, -1.0])).point
+    assert [part.tolist() for part in mixed.parts] == [[-2.0, -4.0], [0.0, 0.0], [0.0, 0.0], [-2.0, -4.0]]
 
 
 def test_paths_lead_to_the_cases_that_are_wanted() -> None:
-    edges = [Edge(0, None), Edge(1, 0), Edge(2, 1), Edge(3, 0)]
-    assert keep_paths(edges, [2]) == tuple(edges[:3])
-    assert keep_paths(edges, []) == ()
+    starts = [Start(0), Start(1, (Source(0, ()),)), Start(2, (Source(1, ()), Source(0, ()))), Start(3)]
+    assert keep_paths(starts, [2]) == tuple(starts[:3])
+    assert keep_paths(starts, []) == ()
 
 
-def test_a_solve_begins_when_its_parent_has_ended() -> None:
-    edges = [Edge(0, None), Edge(1, 0), Edge(2, 1), Edge(3, None)]
+def test_a_solve_begins_when_its_sources_have_ended() -> None:
+    """Origins are kept until the last case that starts there."""
+    starts = [Start(0), Start(1, (Source(0, (1.0,)),)), Start(2, (Source(1, (1.0,)), Source(0, (2.0,)))), Start(3)]
     begun: list[int] = []
 
-    def begin(edge: Edge, origin: Origin | None) -> Future[tuple[str, Origin]]:
-        assert (origin is None) == (edge.parent is None)
-        assert edge.parent is None or origin.iterations == edge.parent  # type: ignore[union-attr]
-        begun.append(edge.case)
+    def begin(start: Start, origin: Origin | None) -> Future[tuple[str, Origin]]:
+        assert (origin is None) == (start.parent is None)
+        assert start.parent is None or origin.iterations == start.parent  # type: ignore[union-attr]
+        begun.append(start.case)
         future: Future[tuple[str, Origin]] = Future()
-        future.set_result((f"case {edge.case}", Origin(None, edge.case)))
+        future.set_result((f"case {start.case}", Origin(None, start.case)))
         return future
 
-    assert dict(follow(edges, begin)) == {k: f"case {k}" for k in range(4)}
+    assert dict(follow(starts, begin)) == {k: f"case {k}" for k in range(4)}
     assert begun.index(0) < begun.index(1) < begun.index(2)
+    waiting = Waiting(starts)
+    assert list(waiting.end(0, Origin(None, 0))) == [starts[1]]
+    waiting.gather(starts[1])
+    assert list(waiting.origins) == [0]
+    assert list(waiting.end(1, Origin(None, 1))) == [starts[2]]
+    waiting.gather(starts[2])
+    assert not waiting.origins
 
 
-def test_tries_are_short_and_rest_after_failures() -> None:
-    """One generation after the first failure, two after the second; a success forgets them."""
+def test_tries_that_cost_more_than_they_save_are_left_out() -> None:
+    """Until cases are nearer to their sources; a success is worth what it saved."""
     neighbour = cast("Neighbour", object())
     origin = Origin(neighbour, 20)
-    assert origin.is_near(9.0)
-    assert origin.most_iterations == 15
+    assert origin.is_worth_a_try
+    assert origin.most_iterations == 20
     assert Origin(neighbour, 1).most_iterations == FEWEST
-    for rest in (1, 2, 4):
-        origin = origin.leave(neighbour, 20, 1.0, has_tried=True)
-        for _ in range(rest):
-            assert not origin.is_near(0.6)
-            assert origin.is_near(0.4)
-            origin = origin.leave(neighbour, 20, 1.0, has_tried=False)
-        assert origin.is_near(0.6)
-    assert not origin.leave(None, 0, 1.0, has_tried=False).is_near(0.0)
-    assert origin.lead(neighbour).leave(neighbour, 20, 1.0, has_tried=True).rest == 1
+    assert not Origin(None, 20).is_worth_a_try
+    failed = origin.leave(neighbour, 20, 1.0)
+    assert failed.expect(2.0) == failed.expect(1.0) == 2.0
+    assert failed.expect(0.25) == 0.5
+    assert origin.lead(neighbour, 5, 1.0).expect(1.0) == 0.25
+    left_out = Origin(neighbour, 20, expected=1.5).leave(neighbour, 20, 0.5)
+    assert left_out.expect(0.5) == 1.5
+    assert Origin(neighbour, 20).expect(3.0) == HOPED

@@ -1,9 +1,11 @@
-"""Trees of neighbouring cases: places of cases -> the case that each of them starts from.
+"""Neighbouring cases in layers: places of cases -> the cases that each of them starts from.
 
-A place has the numbers by which cases differ. A minimum spanning tree joins the cases of one kind with the least sum of
-distances, over the ranges of the numbers (Prim, "Shortest connection networks and some generalizations", Bell System
-Technical Journal 36 (1957)). Its root is the case nearest to the middle of the ranges. Places are sorted first, so the
-tree depends on the set of cases alone, not on their order.
+A place has the numbers by which cases differ. The cases of one kind are put in an order in which each is the farthest
+from all before it, over the ranges of the numbers (Gonzalez, "Clustering to minimize the maximum intercluster
+distance", Theoretical Computer Science 38 (1985)); the first one is nearest to the middle of the ranges. The layers are
+1, 1, 2, 4, 8, ... cases of this order. A case starts from the nearest ones of earlier layers, so layers grow denser,
+and the cases of one layer do not wait for each other. Places are sorted first, so the layers depend on the set of cases
+alone, not on their order.
 """
 
 from __future__ import annotations
@@ -16,6 +18,9 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+MOST = 16  # sources of a case
+SLACK = 1e-6  # the price of weights over the one of missing the place
+
 
 @dataclass(frozen=True)
 class Place:
@@ -26,51 +31,91 @@ class Place:
 
 
 @dataclass(frozen=True)
-class Edge:
-    """A case, and the one that it starts from."""
+class Source:
+    """A case from which another one starts."""
 
     case: int
-    parent: int | None  # None: its own guess
-    distance: float = 0.0  # over the ranges of the numbers
+    offset: tuple[float, ...]  # of its place from the other one's, over the ranges of the numbers
+
+    @property
+    def distance(self) -> float:
+        """Return how far apart the two are."""
+        return float(np.linalg.norm(self.offset))
 
 
-def find_trees(places: Sequence[Place]) -> tuple[Edge, ...]:
-    """Return an edge for each case, parents before children; a tree for each kind."""
+@dataclass(frozen=True)
+class Start:
+    """A case, and the ones that it starts from."""
+
+    case: int
+    sources: tuple[Source, ...] = ()  # the nearest first; none: its own guess
+
+    @property
+    def parent(self) -> int | None:
+        """Return the nearest source."""
+        return self.sources[0].case if self.sources else None
+
+    @property
+    def distance(self) -> float:
+        """Return how far the nearest source is."""
+        return self.sources[0].distance if self.sources else 0.0
+
+
+def find_starts(places: Sequence[Place]) -> tuple[Start, ...]:
+    """Return the start of each case, sources before the cases that start from them."""
     kinds: dict[Hashable, list[int]] = {}
     for k, place in enumerate(places):
         kinds.setdefault(place.kind, []).append(k)
-    return tuple(edge for cases in kinds.values() for edge in _join(cases, places))
+    return tuple(start for cases in kinds.values() for start in _join(cases, places))
 
 
-def keep_paths(edges: Sequence[Edge], wanted: Sequence[int]) -> tuple[Edge, ...]:
-    """Return the edges of some cases and of all from which they come, in the same order."""
-    kept, found = set[int | None](wanted), list[Edge]()
-    for edge in reversed(edges):
-        if edge.case in kept:
-            kept.add(edge.parent)
-            found.append(edge)
+def keep_paths(starts: Sequence[Start], wanted: Sequence[int]) -> tuple[Start, ...]:
+    """Return the starts of some cases and of all from which they come, in the same order."""
+    kept, found = set(wanted), list[Start]()
+    for start in reversed(starts):
+        if start.case in kept:
+            kept.update(source.case for source in start.sources)
+            found.append(start)
     return tuple(reversed(found))
 
 
-def _join(cases: Sequence[int], places: Sequence[Place]) -> list[Edge]:
-    """Join cases of one kind, nearest first."""
+def weigh(sources: Sequence[Source]) -> Array:
+    """Return the weights, with the sum 1, by which sources are mixed: they take each linear function to the case.
+
+    Of all such weights, far sources have small ones. Where sources are too few, their mean place is as near as it can.
+    """
+    offsets = np.array([source.offset for source in sources], dtype=np.float64)
+    squares = (offsets**2).sum(axis=1)
+    if not squares.min() > 0:  # the same numbers
+        return np.asarray((squares == 0) / np.count_nonzero(squares == 0))
+    with_all = np.diag(squares) + (offsets @ offsets.T) / SLACK
+    found = np.linalg.solve(with_all / squares.min(), np.ones(len(squares)))
+    return np.asarray(found / found.sum())
+
+
+def _join(cases: Sequence[int], places: Sequence[Place]) -> list[Start]:
+    """Return the starts of cases of one kind, farthest first."""
     order = sorted(cases, key=lambda k: (places[k].numbers, k))
     x = _scale(np.array([places[k].numbers for k in order], dtype=np.float64).reshape(len(order), -1))
-    root = int(np.argmin(_measure(x, np.full(x.shape[1], 0.5))))
-    edges, parents = [Edge(order[root], None)], np.full(len(order), root)
-    distances = _measure(x, x[root])
-    distances[root] = np.inf
-    is_joined = np.zeros(len(order), dtype=bool)
-    is_joined[root] = True
-    while len(edges) < len(order):
-        k = int(np.argmin(distances))
-        edges.append(Edge(order[k], order[int(parents[k])], float(np.sqrt(distances[k]))))
-        is_joined[k] = True
-        own = _measure(x, x[k])
-        nearer = ~is_joined & (own < distances)
-        parents[nearer], distances[nearer] = k, own[nearer]
-        distances[k] = np.inf
-    return edges
+    chosen, most = _spread(x), min(MOST, 2 * x.shape[1] + 2)
+    starts = [Start(order[chosen[0]])]
+    for n in range(1, len(chosen)):
+        k, earlier = chosen[n], chosen[: 1 << (n.bit_length() - 1)]
+        distances = _measure(x[earlier], x[k])
+        nearest = [earlier[i] for i in np.argsort(distances, kind="stable")[:most].tolist()]
+        starts.append(Start(order[k], tuple(Source(order[i], tuple((x[i] - x[k]).tolist())) for i in nearest)))
+    return starts
+
+
+def _spread(x: Array) -> list[int]:
+    """Return places (cases, n) in the order in which each is the farthest from all before it."""
+    chosen = [int(np.argmin(_measure(x, np.full(x.shape[1], 0.5))))]
+    distances = _measure(x, x[chosen[0]])
+    while len(chosen) < len(x):
+        distances[chosen[-1]] = -1.0
+        chosen.append(int(np.argmax(distances)))
+        distances = np.where(distances < 0, distances, np.minimum(distances, _measure(x, x[chosen[-1]])))
+    return chosen
 
 
 def _scale(x: Array) -> Array:

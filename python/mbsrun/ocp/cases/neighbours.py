@@ -1,31 +1,32 @@
-"""Many problems from neighbour to neighbour: cases in trees -> outcomes.
+"""Many problems from neighbour to neighbour: cases in layers -> outcomes.
 
-A case starts from the solution of its parent in the tree, with all multipliers, so the first step of Newton's method is
-the tangential prediction. Where that has no solution soon, the case is solved from its own guess, and the next
-generations below it do not try unless they are nearer to their parents: one after the first failure, two after the
-second, then four. All of this depends on the ancestors of a case alone, so neither the order of the list nor the number
-of threads or processes changes a result.
+A case starts from the solutions of its nearest sources, with all multipliers: from a mixture of them that is right to
+first order, after which the first step of Newton's method is the tangential prediction. Where that has no solution
+soon, the case is solved from its own guess. A case does not try where its sources did not save iterations, unless it is
+nearer to them than they were to theirs. All of this depends on the ancestors of a case alone, so neither the order of
+the list nor the number of threads or processes changes a result.
 """
 
 from __future__ import annotations
 
 import threading
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
 
 from mbsrun.ocp.cases.cases import Case, CaseSolver, Outcome
-from mbsrun.ocp.cases.tree import Edge
+from mbsrun.ocp.cases.layers import Start, weigh
+from mbsrun.ocp.methods import mix
 from mbsrun.ocp.problem.phases import Plants
 from mbsrun.ocp.solving.phases import Neighbour
 
-PART = 0.75  # of the iterations of a solve from a guess, the most that a case tries from its neighbour
+PART = 1.0  # of the iterations of a solve from a guess, the most that a case tries from its neighbours
 FEWEST = 6  # iterations that it tries
-NEARER = 0.5  # of the distance at which a try failed, below which the next one is made at once
+HOPED = 0.75  # of these iterations, before any try
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,56 +35,76 @@ class Origin:
 
     neighbour: Neighbour | None  # None: it has no solution, or its method leaves none
     iterations: int  # of the last solve from a guess, among it and its ancestors
-    failures: int = 0  # tries that failed since the last one that succeeded
-    rest: int = 0  # generations that do not try
-    failed: float = np.inf  # the distance of the last failure
+    share: float = HOPED  # iterations of a start from neighbours, with all that follow a failure, over these
+    distance: float = 0.0  # of the sources of that start
+    expected: float = HOPED  # the share of a case that starts here
 
-    def is_near(self, distance: float) -> bool:
-        """Return whether a case at a distance tries to start here."""
-        return self.neighbour is not None and (self.rest == 0 or distance < NEARER * self.failed)
+    @property
+    def is_worth_a_try(self) -> bool:
+        """Return whether a case starts here."""
+        return self.neighbour is not None and self.expected < 1
 
     @property
     def most_iterations(self) -> int:
         """Return the iterations that a case tries."""
         return max(FEWEST, int(PART * self.iterations))
 
-    def lead(self, found: Neighbour | None) -> Origin:
-        """Return the origin after a try that succeeded."""
-        return Origin(found, self.iterations)
+    def expect(self, distance: float) -> float:
+        """Return the share of a start at a distance: smaller where sources are nearer than they were."""
+        return self.share * min(1.0, distance / self.distance) if self.distance else self.share
 
-    def leave(self, found: Neighbour | None, iterations: int, distance: float, *, has_tried: bool) -> Origin:
+    def lead(self, found: Neighbour | None, tried: int, distance: float) -> Origin:
+        """Return the origin after a try that succeeded."""
+        return Origin(found, self.iterations, tried / max(1, self.iterations), distance)
+
+    def leave(self, found: Neighbour | None, iterations: int, distance: float) -> Origin:
         """Return the origin after a solve from a guess: after a try that failed, or without one."""
-        if not has_tried:
-            return Origin(found, iterations, self.failures, max(0, self.rest - 1), self.failed)
-        return Origin(found, iterations, self.failures + 1, 2**self.failures, distance)
+        failed = 1 + self.most_iterations / max(1, iterations)
+        return Origin(found, iterations, failed if self.is_worth_a_try else self.expected, distance)
+
+
+def gather(start: Start, origins: Mapping[int, Origin]) -> Origin | None:
+    """Return the origin of the nearest source, with a mixture of the solutions of all sources; None: there is none.
+
+    The expected share is the mean of the ones that the sources expect.
+    """
+    if start.parent is None:
+        return None
+    own = origins[start.parent]
+    expected = float(np.mean([origins[source.case].expect(start.distance) for source in start.sources]))
+    own = replace(own, expected=expected)
+    if own.neighbour is None or not own.is_worth_a_try:
+        return own
+    parts = [(source, origins[source.case].neighbour) for source in start.sources]
+    known = [(source, found) for source, found in parts if found is not None and found.near.fits(own.neighbour.near)]
+    near = mix([found.near for _, found in known], weigh([source for source, _ in known]))
+    return replace(own, neighbour=replace(own.neighbour, near=near))
 
 
 Found = tuple[Outcome, Origin]
 T = TypeVar("T")
-Begin = Callable[[Edge, Origin | None], "Future[tuple[T, Origin]]"]  # of a solve, on a pool
+Begin = Callable[[Start, Origin | None], "Future[tuple[T, Origin]]"]  # of a solve, on a pool
 
 
-def solve_beside(solver: CaseSolver, case: Case, edge: Edge, origin: Origin | None) -> Found:
-    """Solve a case from its parent's solution, or else from its own guess."""
+def solve_beside(solver: CaseSolver, case: Case, start: Start, origin: Origin | None) -> Found:
+    """Solve a case from its sources' solutions, or else from its own guess."""
     kept: list[Neighbour] = []
-    has_tried = origin is not None and origin.is_near(edge.distance)
-    if origin is not None and origin.neighbour is not None and has_tried:
+    if origin is not None and origin.neighbour is not None and origin.is_worth_a_try:
         outcome = solver.solve_near(case, origin.neighbour, origin.most_iterations, kept.append)
         if outcome is not None:
-            return outcome, origin.lead(kept[-1] if kept else None)
+            return outcome, origin.lead(kept[-1] if kept else None, outcome.run.iterations, start.distance)
     kept.clear()
     outcome = solver.solve(case, kept.append)
     found, iterations = kept[-1] if kept else None, outcome.run.iterations
-    before = Origin(None, iterations) if origin is None else origin
-    return outcome, before.leave(found, iterations, edge.distance, has_tried=has_tried)
+    return outcome, Origin(found, iterations) if origin is None else origin.leave(found, iterations, start.distance)
 
 
 def solve_neighbours(
-    cases: Sequence[Case], edges: Sequence[Edge], plants: Plants, threads: int = 1
+    cases: Sequence[Case], starts: Sequence[Start], plants: Plants, threads: int = 1
 ) -> Iterator[tuple[int, Outcome]]:
-    """Solve cases along trees; yield the number and the outcome of each as it ends, see `solve_cases`."""
+    """Solve cases in layers; yield the number and the outcome of each as it ends, see `solve_cases`."""
     if threads == 1:
-        yield from _go(cases, edges, CaseSolver(plants))
+        yield from _go(cases, starts, CaseSolver(plants))
         return
     own = threading.local()
 
@@ -92,43 +113,64 @@ def solve_neighbours(
 
     with ThreadPoolExecutor(threads, initializer=begin) as pool:
 
-        def submit(edge: Edge, origin: Origin | None) -> Future[Found]:
-            return pool.submit(lambda: solve_beside(own.solver, cases[edge.case], edge, origin))
+        def submit(start: Start, origin: Origin | None) -> Future[Found]:
+            return pool.submit(lambda: solve_beside(own.solver, cases[start.case], start, origin))
 
         try:
-            yield from follow(edges, submit)
+            yield from follow(starts, submit)
         finally:
             pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _go(cases: Sequence[Case], edges: Sequence[Edge], solver: CaseSolver) -> Iterator[tuple[int, Outcome]]:
-    """Solve one case after the other; origins are kept as long as cases wait for them."""
-    waiting, origins = Counter(edge.parent for edge in edges), dict[int | None, Origin]()
-    for edge in edges:
-        outcome, own = solve_beside(solver, cases[edge.case], edge, origins.get(edge.parent))
-        if waiting[edge.case]:
-            origins[edge.case] = own
-        waiting[edge.parent] -= 1
-        if not waiting[edge.parent]:
-            origins.pop(edge.parent, None)
-        yield edge.case, outcome
+class Waiting:
+    """Starts that wait for their sources, whose origins are kept as long as one of them does."""
+
+    def __init__(self, starts: Sequence[Start]) -> None:
+        self.origins: dict[int, Origin] = {}
+        self._users = Counter(source.case for start in starts for source in start.sources)
+        self._lacking = {start.case: len(start.sources) for start in starts}
+        self._children = defaultdict[int, list[Start]](list)
+        for start in starts:
+            for source in start.sources:
+                self._children[source.case].append(start)
+
+    def gather(self, start: Start) -> Origin | None:
+        """Return the origin of a start whose sources have ended."""
+        found = gather(start, self.origins)
+        for source in start.sources:
+            self._users[source.case] -= 1
+            if not self._users[source.case]:
+                del self.origins[source.case]
+        return found
+
+    def end(self, case: int, origin: Origin) -> Iterator[Start]:
+        """Keep the origin of a case that has ended, and yield the starts that lack no source any more."""
+        if self._users[case]:
+            self.origins[case] = origin
+        for child in self._children.pop(case, []):
+            self._lacking[child.case] -= 1
+            if not self._lacking[child.case]:
+                yield child
 
 
-def follow(edges: Sequence[Edge], begin: Begin[T]) -> Iterator[tuple[int, T]]:
-    """Begin each solve when its parent has ended; yield the number and the outcome of each as it ends."""
-    waiting = _list_children(edges)
-    under_way = {begin(edge, None): edge for edge in waiting.pop(None, [])}
+def _go(cases: Sequence[Case], starts: Sequence[Start], solver: CaseSolver) -> Iterator[tuple[int, Outcome]]:
+    """Solve one case after the other."""
+    waiting = Waiting(starts)
+    for start in starts:
+        outcome, own = solve_beside(solver, cases[start.case], start, waiting.gather(start))
+        for _ in waiting.end(start.case, own):
+            pass  # they come in the order of the starts
+        yield start.case, outcome
+
+
+def follow(starts: Sequence[Start], begin: Begin[T]) -> Iterator[tuple[int, T]]:
+    """Begin each solve when its sources have ended; yield the number and the outcome of each as it ends."""
+    waiting = Waiting(starts)
+    under_way = {begin(start, None): start for start in starts if not start.sources}
     while under_way:
         for future in wait(under_way, return_when=FIRST_COMPLETED).done:
-            edge = under_way.pop(future)
+            start = under_way.pop(future)
             outcome, origin = future.result()
-            under_way |= {begin(child, origin): child for child in waiting.pop(edge.case, [])}
-            yield edge.case, outcome
-
-
-def _list_children(edges: Sequence[Edge]) -> dict[int | None, list[Edge]]:
-    """List the edges below each case; None: of roots."""
-    found = defaultdict[int | None, list[Edge]](list)
-    for edge in edges:
-        found[edge.parent].append(edge)
-    return found
+            ready = waiting.end(start.case, origin)
+            under_way |= {begin(child, waiting.gather(child)): child for child in ready}
+            yield start.case, outcome

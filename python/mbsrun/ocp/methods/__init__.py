@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from mbsrun.ocp.methods.ipopt import IPOPT
-from mbsrun.ocp.methods.method import Answer, Assignment, Instance, Iterate, Method, Near, Solver
+from mbsrun.ocp.methods.method import Answer, Assignment, Instance, Iterate, Method, Near, Solver, mix
 from mbsrun.ocp.methods.options import Amount, Choice, Option
 from mbsrun.ocp.methods.sqp import SQP
 from mbsrun.ocp.methods.stages import STAGES
@@ -25,6 +25,7 @@ __all__ = [
     "Option",
     "Solver",
     "choose",
+    "mix",
     "settle",
     "warm",
 ]

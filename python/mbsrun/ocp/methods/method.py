@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -43,6 +43,19 @@ class Near:
 
     layout: bytes  # names the order of these variables
     point: Point
+
+    def fits(self, other: Near) -> bool:
+        """Return whether another one has the same variables."""
+        return self.layout == other.layout and self.point.fits(other.point)
+
+
+def mix(ends: Sequence[Near], weights: Array) -> Near:
+    """Return the mean of ends that fit, with weights that may be negative; multipliers of bounds stay at least 0."""
+    w, below, above, y = (
+        sum((weight * part for weight, part in zip(weights[1:], parts[1:], strict=True)), weights[0] * parts[0])
+        for parts in zip(*(end.point.parts for end in ends), strict=True)
+    )
+    return Near(ends[0].layout, Point(w, np.maximum(below, 0.0), np.maximum(above, 0.0), y))
 
 
 @dataclass(frozen=True)
