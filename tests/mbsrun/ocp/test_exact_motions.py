@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import Any, Literal
 
 import casadi as ca
 import numpy as np
@@ -21,16 +21,20 @@ from mbsrun.ocp.guessing.guess import balance
 from mbsrun.ocp.problem.problem import (
     Bounds,
     Contact,
+    Control,
     Drive,
     End,
     Force,
     Form,
+    Loops,
     Problem,
     Representation,
     State,
+    Unknown,
     WrenchComponent,
 )
 from mbsrun.ocp.transcription.transcription import transcribe
+from tests.mbsrun.ocp.closed_plants import close
 from tests.mbsrun.ocp.plants import FREE_RANGE, push
 from tests.mbsrun.peer import FREE, Peer, double_integrator, pose_functions
 
@@ -65,6 +69,7 @@ def measure(problem: Problem, plant: Plant, motion: Trajectory) -> Trajectory:
     return transcription.unpack(functions.complete(x) if isinstance(functions, condensation.Condensed) else x)
 
 
+GRIDS = [(False, MESH), (True, MESH), (False, None)]
 FORMS: dict[str, dict[str, Any]] = {
     "standard": {},
     "standard of an ODE": {"representation": Representation.EXP1_O},
@@ -85,11 +90,11 @@ FORMS: dict[str, dict[str, Any]] = {
 }
 
 
-@pytest.mark.parametrize("is_free", [False, True])
+@pytest.mark.parametrize(("is_free", "mesh"), GRIDS)
 @pytest.mark.parametrize("name", FORMS)
-def test_a_mass_that_is_pushed_meets_every_form(name: str, is_free: bool) -> None:
+def test_a_mass_that_is_pushed_meets_every_form(name: str, is_free: bool, mesh: tuple[float, ...] | None) -> None:
     """A constant push in each interval: parabolas, in intervals of different lengths; start and end are known."""
-    changes = {"mesh": MESH, **FORMS[name]}
+    changes = {"mesh": mesh, **FORMS[name]}
     problem = replace(
         push(3), horizon=T, horizon_range=(1.0, 2.0) if is_free else None, start_q=(0.3,), start_qd=(0.5,), **changes
     )
@@ -102,6 +107,84 @@ def test_a_mass_that_is_pushed_meets_every_form(name: str, is_free: bool) -> Non
     motion = Trajectory(t, q, qd, PUSHES[:, None], point_t, *points)
     found = measure(replace(problem, end=end), double_integrator(), motion)
     for part in ("t", "q", "qd", "u", "point_t", "point_q", "point_qd", "point_qdd"):
+        assert getattr(found, part) == pytest.approx(getattr(motion, part), abs=1e-11), part
+
+
+@pytest.mark.parametrize("name", ["standard", "Lobatto", "second order"])
+def test_inputs_and_controls_have_a_value_at_each_point(name: str) -> None:
+    """Where they are polynomials: a push of t, and a control of 2 - t - q that gives a state its rate with q."""
+    states = (State("s", "c + q_slide", start=(0.0, 0.0)),)
+    problem = replace(
+        push(3, degree=3), horizon=T, mesh=MESH, inputs="polynomial", end=End(), controls=(Control("c"),),
+        states=states, **FORMS[name],
+    )  # fmt: skip
+    scheme = schemes.build(problem.family, 3)
+    t, point_t = problem.grid.times(T, scheme.points)
+
+    def move(t_: Array) -> tuple[Array, ...]:
+        parts = (t_**3 / 6, t_**2 / 2, t_, 2 * t_ - t_**2 / 2, 2 - t_ - t_**3 / 6)
+        return tuple(part[..., None] for part in parts)
+
+    (q, qd, qdd, s, _), points = move(t), move(point_t)
+    means = [np.einsum("j,kjm->km", scheme.weights, part) for part in (points[2], points[4])]
+    slopes = np.concatenate((qd, qdd, 2 - t[:, None]), axis=1)[:-1]
+    motion = Trajectory(
+        t, q, qd, means[0], point_t, points[0], points[1], points[2], s, points[3], means[1], points[4], points[2],
+        slopes=slopes,
+    )  # fmt: skip
+    found = measure(problem, double_integrator(), motion)
+    for part in ("q", "qd", "u", "point_q", "point_qd", "point_qdd", "point_u", "point_controls", "controls", "states"):
+        assert getattr(found, part) == pytest.approx(getattr(motion, part), abs=1e-11), part
+
+
+def rails() -> Peer:
+    """Two sliders of 1 kg, x pushed; a loop holds y at 2 x: 5 kg along x."""
+    q, qd = ca.SX.sym("q", 2), ca.SX.sym("qd", 2)
+    joints = [Coordinate(name=n, motion="prismatic", actuated=n == "x", **FREE) for n in "xy"]
+    h, sensor = ca.SX(q[1] - 2 * q[0]), ca.vertcat(q, ca.SX(0))
+    energy = ca.SX(ca.sumsqr(qd) / 2)
+    return close("rails", (q, qd), energy, ca.SX(0), h, joints, sensor, independent=(0,), pose=(0.3, 0.6))
+
+
+LOOPS: dict[str, dict[str, Any]] = {
+    "standard": {},
+    "standard of an ODE": {"representation": Representation.EXP1_O},
+    "algebraic": {"representation": Representation.EXP1_A},
+    "standard, Legendre": {"family": Family.LEGENDRE},
+    "second order": {"integrator": SECOND_ORDER},
+    "integral": {"form": Form.INTEGRAL},
+    "integral, Legendre": {"form": Form.INTEGRAL, "family": Family.LEGENDRE},
+    "integral of an ODE": {"form": Form.INTEGRAL, "representation": Representation.EXP1_O},
+    "shooting": {"form": Form.SHOOTING, "mesh": None},
+}
+
+
+@pytest.mark.parametrize(("is_free", "mesh"), GRIDS)
+@pytest.mark.parametrize(
+    ("name", "loops"),
+    [*((name, Loops.REDUCED) for name in LOOPS), *((name, Loops.MULTIPLIERS) for name in list(LOOPS)[:3])],
+)
+def test_a_loop_meets_every_form(name: str, loops: Loops, is_free: bool, mesh: tuple[float, ...] | None) -> None:
+    """The same motion along x, by five times the force; coordinates that the loop gives are exact too."""
+    problem = replace(
+        push(3),
+        horizon=T,
+        horizon_range=(1.0, 2.0) if is_free else None,
+        start_q=(0.3, 0.6),
+        start_qd=(0.5, 1.0),
+        bounds=Bounds((FREE_RANGE,) * 2, (FREE_RANGE,) * 2, (FREE_RANGE,)),
+        end=End(),
+        loops=loops,
+        **{"mesh": mesh, **LOOPS[name]},
+    )
+    t, point_t = problem.grid.times(T, schemes.build(problem.family, 2).points)
+    twice = np.array([1.0, 2.0])
+    (q, qd, _), points = (
+        (place * twice, rate * twice, push_ * twice) for place, rate, push_ in (follow(t, t), follow(point_t, t))
+    )
+    motion = Trajectory(t, q, qd, 5 * PUSHES[:, None], point_t, *points)
+    found = measure(problem, rails(), motion)
+    for part in ("q", "qd", "u", "point_q", "point_qd", "point_qdd"):
         assert getattr(found, part) == pytest.approx(getattr(motion, part), abs=1e-11), part
 
 
@@ -150,11 +233,14 @@ def test_contacts_share_forces_with_inputs_in_a_guess() -> None:
 
 
 @pytest.mark.parametrize("is_free", [False, True])
+@pytest.mark.parametrize("integrator", ["collocation", SECOND_ORDER])
 @pytest.mark.parametrize("family", [Family.RADAU, Family.LEGENDRE])
-def test_given_forces_contacts_and_driven_joints_meet_their_rows(family: Family, is_free: bool) -> None:
+def test_given_forces_contacts_and_driven_joints_meet_their_rows(
+    family: Family, integrator: Literal["collocation", "second-order"], is_free: bool
+) -> None:
     """x is pushed, and a given force takes its damping away; y stands against a given input; z moves as given.
 
-    A state that the problem adds is the integral of 3 t.
+    A state that the problem adds is the integral of a t + c, with a = 3 and a constant c in each interval.
     """
     problem = replace(
         push(3, family, 3),
@@ -172,8 +258,11 @@ def test_given_forces_contacts_and_driven_joints_meet_their_rows(family: Family,
             WrenchComponent("hand", 2),
         ),
         contacts=(Contact("hand", "hand", axes=(1,), normal=None),),
+        integrator=integrator,
         driven=(Drive(2, "0.4*t**2 + 0.1*t"),),
-        states=(State("s", "3*t", start=(0.25, 0.25)),),
+        states=(State("s", "a*t + c", start=(0.25, 0.25)),),
+        controls=(Control("c"),),
+        unknowns=(Unknown("a"),),
     )
     scheme = schemes.build(family, 3)
     t, point_t = problem.grid.times(T, scheme.points)
@@ -192,10 +281,26 @@ def test_given_forces_contacts_and_driven_joints_meet_their_rows(family: Family,
     w = np.stack((0.3 * points[1][..., 0] + 0.2, -given, 0.7 + 0 * given), axis=-1)
     u = np.stack((np.repeat((PUSHES - 0.2)[:, None], 3, axis=1), given), axis=-1)
     mean = np.einsum("j,kjm->km", scheme.weights, u)
+    chosen = np.array([0.5, -1.0, 2.0])
+    begun = 0.25 + np.concatenate(([0.0], np.cumsum(chosen * np.diff(t))))
+    states = begun + 1.5 * t**2
+    point_states = begun[:-1, None] + chosen[:, None] * (point_t - t[:-1, None]) + 1.5 * point_t**2
     motion = Trajectory(
-        t, *move(t)[:2], mean, point_t, *points, states=(0.25 + 1.5 * t**2)[:, None],
-        point_states=(0.25 + 1.5 * point_t**2)[..., None], point_u=u, point_w=w,
+        t, *move(t)[:2], mean, point_t, *points, states=states[:, None],
+        point_states=point_states[..., None], point_u=u, point_w=w, controls=chosen[:, None], unknowns=np.array([3.0]),
     )  # fmt: skip
     found = measure(problem, sled(), motion)
-    for part in ("q", "qd", "u", "point_q", "point_qdd", "states", "point_states", "point_u", "point_w"):
+    for part in (
+        "q",
+        "qd",
+        "u",
+        "point_q",
+        "point_qdd",
+        "states",
+        "point_states",
+        "point_u",
+        "point_w",
+        "controls",
+        "unknowns",
+    ):
         assert getattr(found, part) == pytest.approx(getattr(motion, part), abs=1e-11), part
