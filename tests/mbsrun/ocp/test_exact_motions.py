@@ -196,15 +196,15 @@ def sled() -> Peer:
     Phi = qdd - ca.vertcat(u, tau) - w
     Phi[0] += 0.3 * qd[0]
     inputs = [q, qd, qdd, u, w, tau]
-    p, R = ca.horzcat(q, q), ca.horzcat(ca.SX.eye(3), ca.SX.eye(3))
+    sensors, R = ca.horzcat(2 * q, q), ca.horzcat(*[ca.SX.eye(3)] * 3)
     return Peer(
         "sled",
         {
             "impl": ca.Function("peer_impl", inputs, [Phi], ["q", "qd", "qdd", "u", "w", "tau"], ["Phi"]),
-            **pose_functions(q, q, p, R),
+            **pose_functions(q, sensors, ca.horzcat(q, sensors), R),
         },
         [Coordinate(name=n, motion="prismatic", actuated=n != "z", **FREE) for n in "xyz"],
-        [Frame(name="body", parent=-1, sensor=False), Frame(name="hand", parent=0, sensor=True)],
+        [Frame(name=n, parent=0 if n else -1, sensor=bool(n)) for n in ("", "far", "hand")],
         wrenches=(Wrench(name="hand", frame=0, in_base=True, force=True, moment=False),),
         driven=(2,),
     )
@@ -232,13 +232,10 @@ def test_contacts_share_forces_with_inputs_in_a_guess() -> None:
     assert still.u == pytest.approx(np.tile([-0.25, 0.0], (3, 1)))
 
 
-@pytest.mark.parametrize("is_free", [False, True])
-@pytest.mark.parametrize("integrator", ["collocation", SECOND_ORDER])
-@pytest.mark.parametrize("family", [Family.RADAU, Family.LEGENDRE])
-def test_given_forces_contacts_and_driven_joints_meet_their_rows(
-    family: Family, integrator: Literal["collocation", "second-order"], is_free: bool
-) -> None:
-    """x is pushed, and a given force takes its damping away; y stands against a given input; z moves as given.
+def push_sled(
+    family: Family, integrator: Literal["collocation", "second-order"] = "collocation", is_free: bool = False
+) -> tuple[Problem, Trajectory]:
+    """Push x, and let a given force take its damping away; y stands against a given input; z moves as given.
 
     A state that the problem adds is the integral of a t + c, with a = 3 and a constant c in each interval.
     """
@@ -289,6 +286,16 @@ def test_given_forces_contacts_and_driven_joints_meet_their_rows(
         t, *move(t)[:2], mean, point_t, *points, states=states[:, None],
         point_states=point_states[..., None], point_u=u, point_w=w, controls=chosen[:, None], unknowns=np.array([3.0]),
     )  # fmt: skip
+    return problem, motion
+
+
+@pytest.mark.parametrize("is_free", [False, True])
+@pytest.mark.parametrize("integrator", ["collocation", SECOND_ORDER])
+@pytest.mark.parametrize("family", [Family.RADAU, Family.LEGENDRE])
+def test_given_forces_contacts_and_driven_joints_meet_their_rows(
+    family: Family, integrator: Literal["collocation", "second-order"], is_free: bool
+) -> None:
+    problem, motion = push_sled(family, integrator, is_free)
     found = measure(problem, sled(), motion)
     for part in (
         "q",
