@@ -324,7 +324,7 @@ def test_a_cost_has_derivatives_where_multipliers_are_unique() -> None:
 
 @pytest.mark.parametrize(("size", "bends"), [(0.9e-6, False), (1.1e-6, True)])
 def test_a_derivative_bends_by_a_millionth(size: float, bends: bool) -> None:
-    """By a direction of multipliers as large as the largest one; those of rows alone do not count."""
+    """By a direction of multipliers as large as the largest one; multipliers that turn no variable do not count."""
     seen: list[Array] = []
 
     def curve(direction: Array, dx: Array, constants: Array) -> Array:
