@@ -10,15 +10,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from mbsrun.ocp.ground import schemes
 from mbsrun.ocp.ground.schemes import Family
 from mbsrun.ocp.ground.trajectory import Trajectory
 from mbsrun.ocp.problem.contacts import Held
 from mbsrun.ocp.problem.problem import Bounds, End, Loops, Problem
 from mbsrun.ocp.solution.solution import Resimulation, Solution
 from mbsrun.ocp.solving.resimulation import Constant, Course, Replay, _balance, integrate, resimulate
+from tests.mbsrun.ocp.exact_motions import MESH, PUSHES, T, push_rails, push_sled, rails, sled
 from tests.mbsrun.ocp.plants import FREE_RANGE, push
-from tests.mbsrun.ocp.test_exact_motions import MESH, PUSHES, T, follow, push_sled, rails, sled
 from tests.mbsrun.peer import Peer, double_integrator
 
 Array = NDArray[np.float64]
@@ -117,11 +116,7 @@ def test_an_exact_motion_keeps_its_loop_closed() -> None:
             "bounds": Bounds((FREE_RANGE,) * 2, (FREE_RANGE,) * 2, (FREE_RANGE,)), "loops": Loops.REDUCED,
         }
     )  # fmt: skip
-    t, point_t = problem.grid.times(T, schemes.build(problem.family, 2).points)
-    twice = np.array([1.0, 2.0])
-    q, qd, _ = (part * twice for part in follow(t, t))
-    point_q, point_qd, point_qdd = (part * twice for part in follow(point_t, t))
-    motion = Trajectory(t, q, qd, 5 * PUSHES[:, None], point_t, point_q, point_qd, point_qdd)
+    motion = push_rails(problem)
     found = check(problem, motion, rails())
     assert found.defect == pytest.approx(0, abs=1e-11)
     assert found.open_loop_error == pytest.approx(0, abs=1e-11)

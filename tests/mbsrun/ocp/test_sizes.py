@@ -50,6 +50,7 @@ def test_numbers_are_measured_by_their_largest_finite_magnitude() -> None:
         ({"guess": -3.0}, 3.0),
         ({"guess": (-4.0, 1.0)}, 4.0),
         ({"guess": (1.0, -5.0)}, 5.0),
+        ({"guess": (-1.0, 6.0)}, 6.0),
         ({"start": (-2.0, 1.0)}, 2.0),
         ({"end": (-INF, 7.0), "guess": 1.0}, 7.0),
     ],
@@ -196,6 +197,12 @@ def test_states_and_controls_that_are_guessed_as_0_get_their_sizes() -> None:
     guessed = tuple(replace(state, guess=2.0) for state in STATES)
     motion, problem, plant = resting(INF, states=guessed, controls=(Control("f", guess=1.0),))
     assert size_added(motion, problem, plant) is motion
+
+
+def test_a_budget_of_squares_sizes_a_control() -> None:
+    """8 within 2 s, by the curvature 2 of f^2."""
+    motion, problem, plant = resting(INF, states=(State("b", "f**2", end=(8.0, 8.0)),), controls=(Control("f"),))
+    assert size_added(motion, problem, plant).controls == pytest.approx(np.full((3, 1), 2.0))
 
 
 def test_stated_sizes_are_put_where_a_guess_is_0() -> None:

@@ -102,7 +102,6 @@ def test_noise_is_as_wide_as_drawn() -> None:
     width = 0.5**0.01 * 4**0.99
     assert (found.q.min(), found.q.max()) == (pytest.approx(width / 4), 1.0)
     assert found.u == pytest.approx(np.full((3, 1), -4 * width + 0.99 * (0.5 + 4 * width)))
-    assert found.states is motion.states
 
 
 def test_noise_of_states_and_controls_has_their_ranges() -> None:
