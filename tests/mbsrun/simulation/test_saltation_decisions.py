@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
@@ -13,6 +14,7 @@ from mbsrun.simulation.integration.tableaus import DOP853, RK4
 from mbsrun.simulation.motion import Segment
 from mbsrun.simulation.saltation import _Watcher
 from mbsrun.simulation.variation import Crossing, SlopeError
+from tests.mbsrun.simulation.curved import slope
 
 Array = NDArray[np.float64]
 OLD, NEW = Segment((0,)), Segment((2,))
@@ -147,28 +149,28 @@ def test_the_first_finding_is_kept() -> None:
 
 @pytest.mark.parametrize("pair", [RK4, DOP853])
 def test_steps_are_differentiated_as_they_are_taken(pair: Any) -> None:
-    """Of x' = A(t) x the derivative of a step is its matrix: a step of each unit vector."""
+    """The derivative of a step of x' = (sin(t) x_1 + x_2^2, t x_1 x_2 - 2) is the one by complex steps."""
     tableau = pair.tableau
 
-    def matrix(t: float) -> Array:
-        return np.array([[np.sin(t), 1.0], [-2.0, t]])
+    def rate(t: float, x: NDArray[Any]) -> NDArray[Any]:
+        return np.array([np.sin(t) * x[0] + x[1] ** 2, t * x[0] * x[1] - 2])
 
     def at(t: Array, x: Array, *_: Any) -> tuple[Array, Array]:
-        A = np.array([matrix(s) for s in t])
-        return np.einsum("kij,kj->ki", A, x), A
+        pairs = list(zip(t, x, strict=True))
+        return np.array([rate(*y) for y in pairs]), np.array([slope(partial(rate, s), y) for s, y in pairs])
 
-    t = np.array([0.2, 0.5, 1.1])
-    found = _Watcher(pair, 2).differentiate(SimpleNamespace(at=at), None, t, np.zeros((3, 2)), OLD)  # type: ignore[arg-type]
-    for k, (start, h) in enumerate(zip(t, np.diff(t), strict=False)):
-        for column in range(2):
-            slopes = list[Array]()
-            for row, c in zip(tableau.A, tableau.c, strict=True):
-                y = np.eye(2)[column] + h * sum((float(a) * s for a, s in zip(row, slopes, strict=False)), np.zeros(2))
-                slopes.append(matrix(start + float(c) * h) @ y)
-            step = np.eye(2)[column] + h * sum(
-                (float(b) * s for b, s in zip(tableau.b, slopes, strict=True)), np.zeros(2)
-            )
-            assert found[k][:, column] == pytest.approx(step, rel=1e-12, abs=1e-13)
+    def step(x: NDArray[Any], start: float, h: float) -> NDArray[Any]:
+        slopes = list[NDArray[Any]]()
+        for row, c in zip(tableau.A, tableau.c, strict=True):
+            y = x + h * sum((float(a) * s for a, s in zip(row, slopes, strict=False)), np.zeros(2))
+            slopes.append(rate(start + float(c) * h, y))
+        return np.asarray(x + h * sum((float(b) * s for b, s in zip(tableau.b, slopes, strict=True)), np.zeros(2)))
+
+    t, x = np.array([0.2, 0.5, 1.1]), np.array([[1.0, -0.5], [0.75, 2.0], [0.0, 0.0]])
+    found = _Watcher(pair, 2).differentiate(SimpleNamespace(at=at), None, t, x, OLD)  # type: ignore[arg-type]
+    for k in range(2):
+        expected = slope(partial(step, start=t[k], h=t[k + 1] - t[k]), x[k])
+        assert found[k] == pytest.approx(expected, rel=1e-11, abs=1e-12)
 
 
 def test_a_motion_that_begins_with_an_impact_has_no_derivative() -> None:
