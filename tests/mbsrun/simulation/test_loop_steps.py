@@ -77,7 +77,8 @@ class Loop:
     def call(self, _: str, q: Array, qd: Array, v: Array, qdd: Array, lam: Array) -> dict[str, Array]:
         """Return Phi with its derivatives."""
         found: dict[str, list[Array]] = {"Phi": []}
-        for at in zip(q, qd, qdd, v, lam, strict=True):
+        states: list[Any] = list(zip(q, qd, qdd, v, lam, strict=True))
+        for at in states:
             found["Phi"].append(self.residual(*at))
             for k, name in ((0, "q"), (1, "qd"), (2, "qdd"), (4, "lam")):
                 if at[k].size:
@@ -86,7 +87,13 @@ class Loop:
 
     def vary(self, at: Any, k: int) -> Array:
         """Differentiate Phi by one of its arguments."""
-        return slope(lambda x: self.residual(*at[:k], x, *at[k + 1 :]), at[k])
+
+        def evaluate(x: Array) -> Array:
+            given = [*at]
+            given[k] = x
+            return self.residual(*given)
+
+        return slope(evaluate, at[k])
 
     def input_slopes(self, q: Array, *_: Any) -> Array:
         """Differentiate Phi by the inputs."""
