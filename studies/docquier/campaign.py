@@ -375,8 +375,13 @@ def describe_extent(campaign: Campaign, out: Path) -> list[str]:
             f"{full} of {targets} targets in all {names} representations."
         )
     solvers = Counter(json.loads(text).get("linear_solver") for _, text in rows if text)
-    used = ", ".join(f"{name} in {count} solves" for name, count in sorted(solvers.items(), key=str))
-    return [*texts, f"In these solves the linear solver of IPOPT was {used}." if used else "It holds no solve."]
+    used = [f"{_name_solver(name)} ({count} solves)" for name, count in sorted(solvers.items(), key=str)]
+    return [*texts, f"Solved by {', '.join(used)}." if used else "It holds no solve."]
+
+
+def _name_solver(linear: str | None) -> str:
+    """Name what solves a task, by the linear solver that the record gives."""
+    return "mbs" if linear == "mbs" else f"IPOPT with {linear or 'its own linear solver'}"
 
 
 def _is_part(attempt: Attempt, study: Study) -> bool:

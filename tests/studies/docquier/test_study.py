@@ -225,6 +225,7 @@ def test_a_study_is_asked_reported_and_exported(
     check_lowest(asked, tmp_path)
     text = write_page("Title", describe_extent(asked, tmp_path), list(sections.values()), tmp_path / "page").read_text()
     assert "With k1 = 1, k2 = 10 the record is complete: 6 of 6 solves, 3 of 3 targets in all 2 representations" in text
+    assert "Solved by IPOPT with " in text
     assert "| k1 = 1, k2 = 0 | EXP2-O | 3 | 3 | 100 |" in text
     assert "![Fig. 9: cost at the optimum](fig_9.svg)" in text
     names = [write_archive([*sections.values()], [], tmp_path / f"{k}.tar.xz", tmp_path / k) for k in ("a", "b")]
