@@ -63,6 +63,7 @@ CASES = {
     "spatial/ball_crank_turn": ("start.pose.crank", "horizon"),
     "muscles/lift": ("constants.lag", "states.deltoid.start"),
     "legged/walker": ("bounds.coordinates.knee.lower",),
+    "modes/crate_push": ("phases[1].end.pose.crate", "phases[2].horizon"),
     "modes/hopper_jump": ("phases[1].horizon.range.lower",),
 }
 

@@ -251,8 +251,11 @@ def begin(problem: Problem, manifest: Manifest) -> Problem:
     return replace(problem, constraints=(*problem.constraints, *(added if problem.free_start else ())))
 
 
-def arrive(problem: Problem, after: Modes, hits: Modes, manifest: Manifest) -> Problem:
-    """Return a problem that ends where the modes of the phase after it, and hits between both, can begin."""
+def arrive(problem: Problem, after: Modes, hits: Modes, manifest: Manifest, *, jumps: bool) -> Problem:
+    """Return a problem that ends where the modes of the phase after it, and hits between both, can begin.
+
+    Unless the velocity jumps in between, a joint that sticks comes to rest because the phase after it begins at rest.
+    """
     before = dict(problem.modes)
     places, speeds = dict(problem.end.coordinates), dict(problem.end.velocities)
     gaps: list[Constraint] = []
@@ -261,7 +264,8 @@ def arrive(problem: Problem, after: Modes, hits: Modes, manifest: Manifest) -> P
         limit = _find_limit(law, hit or mode)
         if limit is not None and before[law.name] != (hit or mode):
             places[manifest.positions.index(law.name)] = limit
-        if is_closed(law, mode) and not is_closed(law, before[law.name]) and not _strikes(law, mode):
+        sticks = is_closed(law, mode) and not is_closed(law, before[law.name])
+        if sticks and jumps and not _strikes(law, mode):
             speeds[i] = 0.0
     for contact in manifest.open_contacts:
         closes = is_closed(contact, after[contact.name]) or contact.name in hits

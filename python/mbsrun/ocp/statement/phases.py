@@ -363,8 +363,8 @@ class _Links(Reading):
             for fault in faults:
                 self.fault((*place, "hits", *fault.place), fault.finding, fault.remedy)
             if not faults:
-                ended = arrive(before, modes[1], section.hits, plant.manifest)
                 impact = strike(*modes, plant.manifest, find_open_axes(plant))
+                ended = arrive(before, modes[1], section.hits, plant.manifest, jumps=impact is not None)
                 phases = [replace(x, problem=ended) if k == first else x for k, x in enumerate(problem.phases)]
                 links = [replace(x, impact=impact) if k == i else x for k, x in enumerate(problem.links)]
                 problem = replace(problem, phases=tuple(phases), links=tuple(links))
