@@ -133,7 +133,8 @@ def describe_joint(tree: Tree, number: int) -> str:
         kind += ", compliant stops" if joint.stops.restitution is None else f", stops of {joint.stops.restitution:g}"
     if joint.dry is None:
         return kind
-    return f"{kind}, one-way clutch" if joint.dry.one_way else f"{kind}, dry friction"
+    kind += ", one-way clutch" if joint.dry.one_way else ", dry friction"
+    return kind if joint.dry.load is None else f"{kind} by its load"
 
 
 def draw(tree: Tree, q: Sequence[float]) -> Figure:

@@ -224,7 +224,9 @@ def _choose_functions(tree: Tree, request: Request) -> Mapping[str, Entry]:
     """Choose functions by name, in the order of the catalogue; report all faulty names together."""
     present = select_functions(tree)
     if request.needed is None:
-        return {name: entry for name, entry in present.items() if name not in ON_REQUEST}
+        rests = [body.joint.dry for body in tree.bodies if body.joint.dry is not None]
+        asked = {"reactions"} if any(dry.load is not None for dry in rests) else set()  # friction depends on them
+        return {name: entry for name, entry in present.items() if name in asked or name not in ON_REQUEST}
     names = [name for name in request.needed if name in present or name not in request.optional]
     faults = [] if names else [f"no function is named; there are {', '.join(present)}"]
     for name in names:

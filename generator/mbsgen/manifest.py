@@ -109,6 +109,15 @@ class Stops(_Entry):
     restitution: float | None  # of rigid stops, whose forces no kernel has; None: compliant, in the force law
 
 
+class BearingLoad(_Entry):
+    """Friction by the forces N [N] of a joint's bearings across its axis: coefficient times arm times their sum."""
+
+    coefficient: float  # of sliding
+    static: float  # of a joint at rest
+    arm: float  # of a revolute joint, the radius of its pin [m]; else 1
+    length: float | None  # between two bearings [m]; None: there is one
+
+
 class Friction(_Entry):
     """Dry friction of a joint [N m or N], which no kernel has."""
 
@@ -116,6 +125,11 @@ class Friction(_Entry):
     static: float  # the most that holds the joint at rest
     stribeck: float | None  # speed over which the latter falls to the former; None: at once
     one_way: Literal[-1, 0, 1] = 0  # of a clutch: the only way in which the joint moves; 0: both
+    load: BearingLoad | None = None  # what the joint's reaction adds
+
+    @model_serializer(mode="wrap")
+    def _leave_out(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        return {k: x for k, x in write(self).items() if x is not None or k != "load"}
 
 
 class RigidPoint(_Entry):
@@ -559,6 +573,11 @@ class Manifest(_Entry):
     def switching(self) -> tuple[str, ...]:
         """Names of the joints with dry friction or rigid stops, which no kernel has: simulations alone do."""
         return tuple(c.name for c in self.coordinates if not c.is_smooth)
+
+    @property
+    def loaded(self) -> tuple[str, ...]:
+        """Names of the joints whose dry friction depends on their reactions."""
+        return tuple(c.name for c in self.coordinates if c.friction is not None and c.friction.load is not None)
 
     @property
     def open_entries(self) -> int:

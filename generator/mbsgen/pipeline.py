@@ -26,7 +26,18 @@ from mbsgen.families import Functions, Tell, say_nothing, write_families, write_
 from mbsgen.formulations.catalogue import list_results
 from mbsgen.formulations.closure import list_equations
 from mbsgen.importing import Choices, import_model, is_foreign, list_formats, write_imported
-from mbsgen.manifest import Coordinate, Frame, Friction, Loop, Manifest, Parameter, RigidPoint, Stops, Wrench
+from mbsgen.manifest import (
+    BearingLoad,
+    Coordinate,
+    Frame,
+    Friction,
+    Loop,
+    Manifest,
+    Parameter,
+    RigidPoint,
+    Stops,
+    Wrench,
+)
 from mbsgen.model.changes.opening import Opened, open_forces
 from mbsgen.model.changes.reduction import build_tree
 from mbsgen.model.changes.releasing import with_runtime_numbers
@@ -35,7 +46,7 @@ from mbsgen.model.checks.checks import find_faults
 from mbsgen.model.model import Model
 from mbsgen.model.reader import ModelWarning, read_model
 from mbsgen.model.symbols import exact, to_double, total
-from mbsgen.model.tree import IDENTITY, NO_FORCE, Barrier, Kind, Motion, Rigid, Tree, Vector
+from mbsgen.model.tree import IDENTITY, NO_FORCE, Barrier, DryFriction, Kind, Motion, Rigid, Tree, Vector
 from mbsgen.model.writer import write_model
 from mbsgen.output import write_folder
 from mbsgen.procedure.procedure import Computation, Procedure
@@ -162,6 +173,11 @@ def _build_trees(whole: Model, staged: Model, request: Request) -> _Trees:
     if written.is_constrained:
         raise OptionError(
             "tolerance: errors of mechanisms with loops, constraints or driven joints are not estimated; leave it out"
+        )
+    if loaded := [j.name for j in written.joints if j.dry is not None and j.dry.load is not None]:
+        raise OptionError(
+            f"tolerance: errors of the reactions are not estimated, on which friction depends in joint {loaded[0]}; "
+            "leave it out"
         )
     approximation = approximate(written, request.tolerance, request)
     return _Trees(written, parametric, approximation.tree, approximation)
@@ -416,7 +432,7 @@ def _describe(tree: Tree, unit: Unit, sources: Sources, staged: Model, shown: Mo
                 max_speed=j.max_speed,
                 max_force=j.max_force,
                 stops=None if j.stops is None else Stops(**asdict(j.stops)),
-                friction=None if j.dry is None else Friction(**asdict(j.dry)),
+                friction=None if j.dry is None else _describe_friction(j.dry),
             )
             for j in joints
         ),
@@ -445,6 +461,11 @@ def _describe(tree: Tree, unit: Unit, sources: Sources, staged: Model, shown: Mo
         kernels=sources.kernels,
         tolerance=unit.tolerance,
     )
+
+
+def _describe_friction(dry: DryFriction) -> Friction:
+    load = None if dry.load is None else BearingLoad(**asdict(dry.load))
+    return Friction(**{**asdict(dry), "load": load})
 
 
 def _describe_loops(tree: Tree) -> tuple[Loop, ...]:

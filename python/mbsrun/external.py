@@ -75,8 +75,10 @@ class Mechanism(Kernels):
         return batch(name, sparse=sparse, threads=threads, lanes=lanes, out=out, **inputs)
 
     def list_missing(self, names: Iterable[str]) -> list[str]:
-        """List the kernels among some that cannot be called; derivatives may be generated at their first call."""
-        return [name for name in super().list_missing(names) if not self._is_bare(split_kernel(name)[0])]
+        """List the kernels among some that cannot be called, or generated at their first call."""
+        bases = {name: split_kernel(name)[0] for name in super().list_missing(names)}
+        requested = ON_REQUEST if self._origin is not None else ()
+        return [name for name, base in bases.items() if not (self._is_bare(base) or base in requested)]
 
     def _is_bare(self, function: str) -> bool:
         """Return whether a function was written without its derivatives, which a call generates."""

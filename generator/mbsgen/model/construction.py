@@ -27,9 +27,11 @@ from mbsgen.model.joints.section import JointSection
 from mbsgen.model.model import (
     BASE,
     GROUND,
+    LOAD,
     STOPS,
     WIDTH,
     ZERO,
+    BearingLoad,
     Block,
     Body,
     Cable,
@@ -72,6 +74,7 @@ Vector = Sequence[Quantity]  # three of them
 Direction = str | Vector  # x, y, z, -x, -y, -z, or a vector of any length but 0
 Turns = Sequence[tuple[str, Quantity]]  # axis and angle of rotations in turn, each about the axes turned so far
 Limits = tuple[Quantity | None, Quantity | None]  # None: unbounded
+DryKeys = Mapping[str, Quantity | Mapping[str, Quantity]]  # the keys of friction in a file; below `load` its own
 
 
 class Setting(TypedDict, total=False):
@@ -87,7 +90,7 @@ class Setting(TypedDict, total=False):
     stiffness: Quantity  # force: -stiffness (q - rest) - damping qd - T tanh(qd/v) + force
     rest: Quantity
     damping: Quantity
-    friction: tuple[Quantity, Quantity] | Mapping[str, Quantity]  # T, v; or dry, by the keys of a file
+    friction: tuple[Quantity, Quantity] | DryKeys  # T, v; or dry, by the keys of a file
     stops: Mapping[str, Quantity]  # by the keys of a file
     force: Quantity  # over parameters, q and qd
     armature: Quantity  # of the rotor that drives it
@@ -466,7 +469,7 @@ def _make_joint(
     stiffness: Quantity = 0.0,
     rest: Quantity = 0.0,
     damping: Quantity = 0.0,
-    friction: tuple[Quantity, Quantity] | Mapping[str, Quantity] | None = None,
+    friction: tuple[Quantity, Quantity] | DryKeys | None = None,
     stops: Mapping[str, Quantity] | None = None,
     force: Quantity = 0.0,
     armature: Quantity = 0.0,
@@ -485,14 +488,25 @@ def _make_joint(
 
 
 def _read_friction(
-    friction: tuple[Quantity, Quantity] | Mapping[str, Quantity],
+    friction: tuple[Quantity, Quantity] | DryKeys,
 ) -> tuple[Friction | None, DryFriction | None]:
     if not isinstance(friction, Mapping):
         return read_friction(number(friction[0]), number(friction[1]))
-    numbers = _read_keys(friction, ("torque", "speed", "static", "stribeck", "one_way"))
+    load = friction.get("load")
+    given = {key: x for key, x in friction.items() if key != "load" and not isinstance(x, Mapping)}
+    numbers = _read_keys(given, ("torque", "speed", "static", "stribeck", "one_way"))
     if "torque" not in numbers:
         raise WrongValueError("friction without a torque", 'give one: {"torque": 0.5}')
-    return read_friction(**numbers)
+    return read_friction(**numbers, load=None if load is None else _read_load(load))
+
+
+def _read_load(load: Quantity | Mapping[str, Quantity]) -> BearingLoad:
+    if not isinstance(load, Mapping):
+        raise WrongValueError(f"found {_show(load)}", 'give {"coefficient": 0.15, "radius": 0.01}')
+    numbers = _read_keys(load, LOAD)
+    if "coefficient" not in numbers:
+        raise WrongValueError("load without a coefficient", 'give one: {"coefficient": 0.15}')
+    return BearingLoad(**numbers)
 
 
 def _read_keys(values: Mapping[str, Quantity], known: Sequence[str]) -> dict[str, Expression]:

@@ -119,6 +119,16 @@ FREE = Law()
 
 
 @dataclass(frozen=True)
+class BearingLoad:
+    """Coulomb's friction by the forces that two bearings of a joint carry across its axis."""
+
+    coefficient: Expression  # of sliding
+    static: Expression | None = None  # of a joint at rest; None: the same
+    radius: Expression | None = None  # of the pin of a revolute joint [m]
+    length: Expression | None = None  # between the bearings [m]; None: they are one, which carries no moment by forces
+
+
+@dataclass(frozen=True)
 class DryFriction:
     """Coulomb's friction: a joint at rest sticks, a sliding one is braked; it is no part of the force law."""
 
@@ -126,6 +136,7 @@ class DryFriction:
     static: Expression | None = None  # the most that holds a joint at rest; None: the same
     stribeck: Expression | None = None  # speed over which `static` falls to `torque` [rad/s or m/s]; None: at once
     one_way: Expression | None = None  # of a clutch: 1 or -1, the only way in which the joint moves
+    load: BearingLoad | None = None  # what the joint's own reaction adds
 
 
 @dataclass(frozen=True)
@@ -137,7 +148,7 @@ class Stops:
     dissipation: Expression = ZERO  # of a compliant one, over the speed of entry [s/rad or s/m]
 
 
-STOPS = tuple(x.name for x in fields(Stops))  # the keys of a file
+STOPS, LOAD = (tuple(x.name for x in fields(part)) for part in (Stops, BearingLoad))  # the keys of a file
 
 
 @dataclass(frozen=True)

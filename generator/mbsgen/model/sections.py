@@ -21,6 +21,7 @@ from mbsgen.model.model import (
     ORIGIN,
     UNITS,
     ZERO,
+    BearingLoad,
     DryFriction,
     Follow,
     Friction,
@@ -201,6 +202,21 @@ class PlacementSection(Section):
         return Placement(self.position, given.turns)
 
 
+class BearingSection(Section):
+    """Friction by the joint's own reaction: coefficient times the forces of its bearings across its axis."""
+
+    coefficient: NumberField = Field(examples=[0.15], description="Coulomb's coefficient of sliding")
+    static: OptionalNumberField = Field(
+        None, examples=[0.2], description="the coefficient at rest; by default the same"
+    )
+    radius: OptionalNumberField = Field(None, examples=[0.01], description="m, of the pin of a revolute joint")
+    length: OptionalNumberField = Field(
+        None,
+        examples=[0.1],
+        description="m, between two bearings beside the joint's origin, which carry moments too; else there is one",
+    )
+
+
 class FrictionSection(Section):
     """Dry friction: smoothed by a speed, -torque*tanh(qd/speed); without one the joint sticks and slides."""
 
@@ -219,6 +235,14 @@ class FrictionSection(Section):
     one_way: OptionalNumberField = Field(
         None, examples=[None], description="of a one-way clutch: 1 or -1, the only way in which the joint moves"
     )
+    load: BearingSection | None = Field(
+        None, examples=[{"coefficient": 0.15, "radius": 0.01}], description="added to torque: by the joint's reaction"
+    )
+
+    def read(self) -> tuple[Friction | None, DryFriction | None]:
+        """Return friction that is smoothed, or dry, as parts of a Model."""
+        load = None if self.load is None else BearingLoad(**dict(self.load))
+        return read_friction(**{**dict(self), "load": load})
 
 
 class StopsSection(Section):
@@ -241,11 +265,12 @@ def read_friction(
     static: Expression | None = None,
     stribeck: Expression | None = None,
     one_way: Expression | None = None,
+    load: BearingLoad | None = None,
 ) -> tuple[Friction | None, DryFriction | None]:
     """Return friction that is smoothed, or dry; of numbers that contradict each other both, which a check refuses."""
     smooth = None if speed is None else Friction(torque, speed)
-    is_dry = smooth is None or any(x is not None for x in (static, stribeck, one_way))
-    return smooth, DryFriction(torque, static, stribeck, one_way) if is_dry else None
+    is_dry = smooth is None or any(x is not None for x in (static, stribeck, one_way, load))
+    return smooth, DryFriction(torque, static, stribeck, one_way, load) if is_dry else None
 
 
 class FollowSection(Section):
@@ -281,7 +306,7 @@ class SettingSection(Section):
 
     def apply(self, joint: Joint) -> Joint:
         """Return an elementary joint with these settings."""
-        smooth, dry = (None, None) if self.friction is None else read_friction(**dict(self.friction))
+        smooth, dry = (None, None) if self.friction is None else self.friction.read()
         ends = None if self.stops is None else Stops(**dict(self.stops))
         followed = self.follows
         follows = None if followed is None else Follow(followed.joint, followed.ratio, followed.offset)

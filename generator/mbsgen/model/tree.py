@@ -59,6 +59,16 @@ class Stops:
 
 
 @dataclass(frozen=True)
+class BearingLoad:
+    """Friction by the forces N [N] of a joint's bearings across its axis: coefficient times arm times their sum."""
+
+    coefficient: float  # of sliding
+    static: float  # of a joint at rest
+    arm: float  # of a revolute joint, the radius of its pin [m]; else 1
+    length: float | None  # between two bearings [m]; None: there is one
+
+
+@dataclass(frozen=True)
 class DryFriction:
     """Coulomb's friction [N m or N], which is not in the equations."""
 
@@ -66,6 +76,7 @@ class DryFriction:
     static: float  # the most that holds a joint at rest
     stribeck: float | None  # speed over which the latter falls to the former; None: at once
     one_way: int = 0  # of a clutch: 1 or -1, the only way in which the joint moves
+    load: BearingLoad | None = None  # what the joint's reaction adds
 
 
 @dataclass(frozen=True)

@@ -18,12 +18,14 @@ from mbsgen.model.model import (
     GROUND,
     HERE,
     HERTZ,
+    LOAD,
     ONE,
     ORIGIN,
     STOPS,
     UNITS,
     WIDTH,
     ZERO,
+    BearingLoad,
     Block,
     Body,
     Capsule,
@@ -178,7 +180,7 @@ def _write_setting(joint: Joint, *, actuated: bool) -> Mapped:
             content[key] = _write_number(bound)
     content |= _write_law(joint.law)
     if joint.dry is not None:
-        content["friction"] = _write_given(joint.dry, ("torque", "static", "stribeck", "one_way"))
+        content["friction"] = _write_dry(joint.dry)
     if joint.stops is not None:
         content["stops"] = _write_given(joint.stops, STOPS)
     if joint.armature != ZERO:
@@ -211,7 +213,14 @@ def _write_law(law: Law) -> Mapped:
     return content
 
 
-def _write_given(part: DryFriction | Stops | Grip, keys: tuple[str, ...]) -> Mapped:
+def _write_dry(dry: DryFriction) -> Mapped:
+    content = _write_given(dry, ("torque", "static", "stribeck", "one_way"))
+    if dry.load is not None:
+        content["load"] = _write_given(dry.load, LOAD)
+    return content
+
+
+def _write_given(part: BearingLoad | DryFriction | Stops | Grip, keys: tuple[str, ...]) -> Mapped:
     given = {key: x for key in keys if (x := getattr(part, key)) is not None}
     return {key: _write_number(x) for key, x in given.items() if key != "dissipation" or x != ZERO}
 

@@ -73,6 +73,9 @@ def differentiate(
 def _check(manifest: Manifest, drive: Drive, settings: Settings) -> None:
     if settings.method not in PAIRS:
         raise ValueError(f"{settings.method} is not differentiated; give one of {', '.join(PAIRS)}")
+    if manifest.loaded:
+        finding = f"friction by the load of joints {', '.join(manifest.loaded)} is not differentiated"
+        raise ValueError(f"{finding}; give a torque in place of load")
     if drive.control is not None:
         raise ValueError("inputs that follow the state are not differentiated; give them over time")
     needed = {"jac_semi_res"} | ({"jac_rates"} if manifest.configuration else set())

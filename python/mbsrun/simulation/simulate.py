@@ -190,6 +190,7 @@ def _check_kernels(kernels: Kernels, settings: Settings) -> None:
         needed |= {"impl", "jac_impl"} if is_explicit else {jacobian}
         switches = bool(kernels.manifest.switching or kernels.manifest.rigid)
         needed |= {"semi", "semi_res"} if switches and is_explicit else set()
+        needed |= {"reactions"} if kernels.manifest.loaded else set()
         if kernels.manifest.rigid:
             needed |= {"touching", "jac_touching"} if is_explicit else {"touching"}
         needed |= {linearised} if METHODS[settings.method].needs_residual else set()

@@ -12,7 +12,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 from mbsgen.expressions import Name, Operation
-from mbsgen.manifest import Friction, OpenContact, OpenJoint, Stops
+from mbsgen.manifest import BearingLoad, Friction, OpenContact, OpenJoint, Stops
+from mbsgen.model import model as parts
 from mbsgen.model.expansion import list_steps
 from mbsgen.model.model import BASE, ZERO, Body, Contact, Fixed, Frame, Joint, Model, Placement, Plane, Wrench
 from mbsgen.model.valuation import Valuation
@@ -79,11 +80,28 @@ def _open_joint(joint: Joint, name: str, valuation: Valuation, taken: set[str], 
             static=static,
             stribeck=read(joint.dry.stribeck),
             one_way=0 if way is None else 1 if way > 0 else -1,
+            load=_describe_load(joint.dry.load, valuation),
         )
     found.append(OpenJoint(name=name, signal=signal, stops=ends, friction=friction))
     force = Name(signal) if joint.law.force == ZERO else Operation("+", joint.law.force, Name(signal))
     law = replace(joint.law, force=force)
     return replace(joint, law=law, dry=None, stops=joint.stops if stops is None else None)
+
+
+def _describe_load(load: parts.BearingLoad | None, valuation: Valuation) -> BearingLoad | None:
+    if load is None:
+        return None
+    coefficient, static, radius, length = (
+        None if x is None else valuation.number((), x)
+        for x in (load.coefficient, load.static, load.radius, load.length)
+    )
+    assert coefficient is not None, "a coefficient is required"
+    return BearingLoad(
+        coefficient=coefficient,
+        static=coefficient if static is None else static,
+        arm=1.0 if radius is None else radius,
+        length=length,
+    )
 
 
 def _open_contacts(model: Model, valuation: Valuation, taken: set[str]) -> Iterator[tuple[Contact, OpenContact]]:

@@ -436,7 +436,7 @@ def _make_body(mover: _Mover, part: RigidPart, *parts: RigidPart, reader: _Reade
             max_speed=reader.limit(mover.joint.max_speed),
             max_force=reader.limit(mover.joint.max_force),
             stops=_make_stops(mover.joint, reader),
-            dry=_make_dry(mover.joint.dry, reader),
+            dry=_make_dry(mover.joint, reader),
             armature=reader.number(mover.joint.armature),
         ),
         position=mover.position,
@@ -456,13 +456,23 @@ def _make_stops(joint: model.Joint, reader: _Reader) -> tree.Stops | None:
     return tree.Stops(*ends, reader.limit(joint.stops.restitution))
 
 
-def _make_dry(dry: model.DryFriction | None, reader: _Reader) -> tree.DryFriction | None:
+def _make_dry(joint: model.Joint, reader: _Reader) -> tree.DryFriction | None:
+    dry = joint.dry
     if dry is None:
         return None
     torque = reader.constant(dry.torque)
     static = torque if dry.static is None else reader.constant(dry.static)
     way = 0 if dry.one_way is None else round(reader.constant(dry.one_way))
-    return tree.DryFriction(torque, static, reader.limit(dry.stribeck), way)
+    return tree.DryFriction(torque, static, reader.limit(dry.stribeck), way, _make_load(dry.load, reader))
+
+
+def _make_load(load: model.BearingLoad | None, reader: _Reader) -> tree.BearingLoad | None:
+    if load is None:
+        return None
+    sliding = reader.constant(load.coefficient)
+    static = sliding if load.static is None else reader.constant(load.static)
+    arm = 1.0 if load.radius is None else reader.constant(load.radius)
+    return tree.BearingLoad(sliding, static, arm, reader.limit(load.length))
 
 
 def _make_sensor(frame: model.Frame, seat: _Seat, reader: _Reader) -> tree.Sensor:

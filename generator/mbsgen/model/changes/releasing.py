@@ -25,6 +25,7 @@ from mbsgen.model.joints.dh import place_joint, place_tail
 from mbsgen.model.laws import replace_counted, replace_numbers
 from mbsgen.model.model import (
     ZERO,
+    BearingLoad,
     Block,
     Body,
     Cable,
@@ -211,7 +212,12 @@ class _Release:
         if dry is None:
             return None
         torque = Number(self._valuation.number((), dry.torque))
-        return DryFriction(torque, *map(self._keep, (dry.static, dry.stribeck, dry.one_way)))
+        static, stribeck, way = map(self._keep, (dry.static, dry.stribeck, dry.one_way))
+        return DryFriction(torque, static, stribeck, way, None if dry.load is None else self._load(dry.load))
+
+    def _load(self, load: BearingLoad) -> BearingLoad:
+        sliding = Number(self._valuation.number((), load.coefficient))
+        return BearingLoad(sliding, *map(self._keep, (load.static, load.radius, load.length)))
 
     def _law_of_stops(self, stops: Stops, path: str) -> Stops:
         """Release compliant stops; a restitution stays."""

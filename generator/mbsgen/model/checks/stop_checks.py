@@ -11,8 +11,9 @@ from mbsgen.documents import Finding, Place, abbreviate
 from mbsgen.expressions import names
 from mbsgen.model.checks.force_checks import State, check_law, list_state
 from mbsgen.model.following import list_joints
-from mbsgen.model.model import LENGTH, ZERO, DryFriction, Joint, Model, Stop, Stops
+from mbsgen.model.model import LENGTH, ZERO, BearingLoad, DryFriction, Joint, Model, Stop, Stops
 from mbsgen.model.quantities import list_poses, name_lengths
+from mbsgen.model.tree import Motion
 from mbsgen.model.valuation import Valuation
 
 
@@ -38,6 +39,7 @@ def check_stops(model: Model, valuation: Valuation) -> Iterator[Finding]:
     known |= {
         name: Symbol(f"{LENGTH} {own}", real=True) for name, own in name_lengths([x.name for x in model.forces]).items()
     }
+    yield from _check_company(model)
     for i, stop in enumerate(model.stops):
         yield from _check_stop(("stops", i), stop, known, valuation, list_state(model))
 
@@ -108,8 +110,8 @@ def _check_stop(place: Place, stop: Stop, known: State, valuation: Valuation, st
 
 def _check_dry(place: Place, joint: Joint, dry: DryFriction, valuation: Valuation) -> Iterator[Finding]:
     if joint.law.friction is not None:
-        finding = "smoothed friction (speed) that is dry too (static, stribeck, one_way)"
-        yield Finding(place, finding, "leave out speed, or static, stribeck and one_way")
+        finding = "smoothed friction (speed) that is dry too (static, stribeck, one_way, load)"
+        yield Finding(place, finding, "leave out speed, or static, stribeck, one_way and load")
         return
     torque = valuation.constant((*place, "torque"), dry.torque)
     static = torque if dry.static is None else valuation.constant((*place, "static"), dry.static)
@@ -121,7 +123,12 @@ def _check_dry(place: Place, joint: Joint, dry: DryFriction, valuation: Valuatio
         yield Finding((*place, "static"), finding, f"give {torque:g} or more")
     if stribeck <= 0:
         yield Finding((*place, "stribeck"), f"a speed of {stribeck:g}", "give more than 0")
-    if dry.stribeck is not None and dry.static is None:
+    if dry.load is not None:
+        yield from _check_load((*place, "load"), joint, dry.load, valuation)
+        if dry.one_way is not None:
+            finding = "a one-way clutch with friction by its load"
+            yield Finding((*place, "one_way"), finding, "leave out load, or one_way")
+    if dry.stribeck is not None and dry.static is None and (dry.load is None or dry.load.static is None):
         yield Finding((*place, "stribeck"), "a stribeck speed without static", "give static too")
     if dry.one_way is not None:
         way = valuation.constant((*place, "one_way"), dry.one_way)
@@ -130,3 +137,40 @@ def _check_dry(place: Place, joint: Joint, dry: DryFriction, valuation: Valuatio
         if _is_rigid(joint.stops):
             finding = "a one-way clutch in a joint with rigid stops"
             yield Finding((*place, "one_way"), finding, "give one of them, or give the stops a stiffness")
+
+
+def _check_load(place: Place, joint: Joint, load: BearingLoad, valuation: Valuation) -> Iterator[Finding]:
+    sliding = valuation.constant((*place, "coefficient"), load.coefficient)
+    static = sliding if load.static is None else valuation.constant((*place, "static"), load.static)
+    if sliding < 0:
+        yield Finding((*place, "coefficient"), f"found {sliding:g}", "give 0 or more")
+    if static < sliding:
+        finding = f"{static:g} holds the joint at rest, and {sliding:g} brakes it when it slides"
+        yield Finding((*place, "static"), finding, f"give {sliding:g} or more")
+    for key, length in (("radius", load.radius), ("length", load.length)):
+        if length is not None and (value := valuation.constant((*place, key), length)) <= 0:
+            yield Finding((*place, key), f"found {value:g}", "give more than 0 m")
+    if joint.motion is Motion.REVOLUTE and load.radius is None:
+        yield Finding(place, "friction of a pin without its radius", "give radius: 0.01, in m")
+    if joint.motion is Motion.PRISMATIC and load.radius is not None:
+        finding = "the radius of a pin, of a joint that slides"
+        yield Finding((*place, "radius"), finding, "leave it out: its friction is the coefficient times the load")
+
+
+def _check_company(model: Model) -> Iterator[Finding]:
+    """Find what a model has beside friction by loads that simulations do not take together."""
+    steps = [step for step in list_joints(model) if step.joint.dry is not None and step.joint.dry.load is not None]
+    stopped = [step.name for step in list_joints(model) if _is_rigid(step.joint.stops)]
+    others = {
+        "loops": model.loops,
+        "constraints": model.constraints,
+        "driven joints": model.driven,
+        "rigid stops": (*stopped, *(x for x in model.stops if x.law.restitution is not None)),
+        "rigid contacts": [x for x in model.contacts if x.restitution is not None],
+    }
+    for what in [what for what, found in others.items() if found] if steps else ():
+        remedy = "give a torque in place of load, which does not depend on it"
+        if what.startswith("rigid"):
+            remedy += "; or give a stiffness in place of a restitution"
+        place = (*steps[0].place, "friction", "load")
+        yield Finding(place, f"friction by the load of a joint, in a model with {what}", remedy)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from mbsgen.manifest import Manifest
 from mbsrun.simulation.integration.explicit import Brakes
-from mbsrun.simulation.motion import FORCE, PLACE, SPEED, Guard, Mode
+from mbsrun.simulation.motion import FORCE, PLACE, SPEED, Guard, Kind, Mode
 
 Array = NDArray[np.float64]
 
@@ -145,3 +145,19 @@ class Joints:
         """Set velocities to 0 that are rounding of rest, where the fastest one was `fastest`."""
         switching = self.is_dry | np.isfinite(self.lower) | np.isfinite(self.upper)
         qd[switching & (np.abs(qd) <= STILL * fastest)] = 0.0
+
+
+def name_change(old: int, new: int) -> Kind | None:
+    """Return the event that a change of a joint's mode is, impacts aside."""
+    if old == new:
+        return None
+    slides = (1, -1)
+    if new == Mode.STICKS:
+        return Kind.STICK
+    if old == Mode.STICKS and new in slides:
+        return Kind.SLIP
+    if new in (Mode.LOWER, Mode.UPPER):
+        return Kind.REST
+    if old in (Mode.LOWER, Mode.UPPER):
+        return Kind.LEAVE
+    return Kind.REVERSE if old in slides and new in slides else None

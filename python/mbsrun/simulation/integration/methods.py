@@ -153,6 +153,9 @@ def find_refusals(settings: Settings, manifest: Manifest) -> Iterator[tuple[str,
     elif manifest.rigid and not method.strikes:
         finding = f"{settings.method} takes no rigid contacts, which the model has: {manifest.rigid[0].name}"
         yield "method", finding, "give moreau or dop853; or give contacts a stiffness in place of a restitution"
+    elif manifest.loaded and method.strikes:
+        finding = f"{settings.method} takes no friction by the load of joints: {', '.join(manifest.loaded)}"
+        yield "method", finding, "give dop853, or a torque in place of load"
     elif manifest.switching and not method.strikes:
         yield from _refuse_switching(settings, manifest)
     if not (manifest.loops or manifest.driven):

@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from mbsrun.limits import Allowance
 from mbsrun.simulation.drive import Piece
 from mbsrun.simulation.dynamics import Dynamics
-from mbsrun.simulation.integration import explicit, touching
+from mbsrun.simulation.integration import explicit, rubbing, touching
 from mbsrun.simulation.integration.complementarity import (
     NOISE,
     WITHIN,
@@ -41,7 +41,7 @@ from mbsrun.simulation.integration.complementarity import (
 from mbsrun.simulation.integration.events import MANY, MOST, Course
 from mbsrun.simulation.integration.explicit import Brakes, Pair, Plant
 from mbsrun.simulation.integration.holding import LOCKED, Forces, Inertia
-from mbsrun.simulation.integration.joints import HELD, SLACK, STILL, TOUCH, Joints
+from mbsrun.simulation.integration.joints import HELD, SLACK, STILL, TOUCH, Joints, name_change
 from mbsrun.simulation.integration.steps import count_steps
 from mbsrun.simulation.motion import (
     PLACE,
@@ -76,6 +76,9 @@ def integrate(
     """
     if dynamics.kernels.manifest.rigid:
         yield from touching.integrate(pair, dynamics, piece, q, qd, settings, allowance)
+        return
+    if dynamics.kernels.manifest.loaded:
+        yield from rubbing.integrate(pair, dynamics, piece, q, qd, settings, allowance)
         return
     if not dynamics.kernels.manifest.switching:
         yield from explicit.integrate(pair, dynamics, piece, q, qd, settings, allowance)
@@ -398,7 +401,7 @@ class _Course(Course):
         if self.modes is None:
             return
         for i, (old, new) in enumerate(zip(self.modes, modes, strict=True)):
-            kind = _name_change(int(old), int(new))
+            kind = name_change(int(old), int(new))
             if kind is not None:
                 speed = float(qd[i])
                 yield Event(time, self.joints.manifest.coordinates[i].name, kind, speed, speed)
@@ -425,18 +428,3 @@ class _Impact:
     loss: float
     driven: float  # work of driven joints
     jump: Jump
-
-
-def _name_change(old: int, new: int) -> Kind | None:
-    if old == new:
-        return None
-    slides = (1, -1)
-    if new == Mode.STICKS:
-        return Kind.STICK
-    if old == Mode.STICKS and new in slides:
-        return Kind.SLIP
-    if new in (Mode.LOWER, Mode.UPPER):
-        return Kind.REST
-    if old in (Mode.LOWER, Mode.UPPER):
-        return Kind.LEAVE
-    return Kind.REVERSE if old in slides and new in slides else None

@@ -1,0 +1,338 @@
+"""Dry friction by the load of joints, in trees at given states: forces, accelerations, and their conditions.
+
+A joint's reaction (F, T) about its own origin, with axis a and P = 1 - a a^T, loads its bearings across its axis by
+
+    one bearing:  F_1 = P F,    two at a distance L:  F_1,2 = P F/2 +- a x T/L,    N = sum |F_k|.
+
+A joint that slides has the force -sign(qd) (T(qd) + mu(qd) r N), with the radius r of a pin, or r = 1. At rest it holds
+up to T_s + mu_s r N. Reactions are affine in accelerations, and these in the forces of friction. So the loads of the
+sliding joints solve
+
+    N_i = sum_k |c_k + D_k N|,    k: bearings of joint i.
+
+Let S_ij be the sum of |D_kj| over these bearings. Where the spectral radius of S is below 1, the right side contracts
+in a weighted norm, and there is one solution. Of one joint with S >= 1 there is none, or there are two: the right side
+less N is convex, not negative at N = 0, and does not fall far out. Of several joints nothing is known then. This is
+Painleve's paradox of bearings, and ends a motion.
+
+At rest each joint sticks, or starts to slide in one of two ways. All combinations are tried, to see whether there are
+several motions.
+
+Painleve, "Sur les lois du frottement de glissement", Comptes rendus 121 (1895); Le Suan An, "The Painleve paradoxes and
+the law of motion of mechanical systems with Coulomb friction", J. Appl. Math. Mech. 54 (1990).
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbsgen.errors import MbsError
+from mbsgen.manifest import BearingLoad
+from mbsrun.simulation.dynamics import Dynamics
+from mbsrun.simulation.integration.joints import Joints
+from mbsrun.simulation.motion import Mode
+
+Array = NDArray[np.float64]
+
+NEAR = 1e-9  # of the size of a condition's terms: what is as near to 0 may be either
+SAME = 1e-6  # of the accelerations: motions that differ by less are one
+FIXED = 4 * np.finfo(float).eps  # of the loads: a smaller change ends Newton's method
+MOST = 200  # of its steps
+DOUBLED = 40  # times that the size of a load is doubled to enclose it
+TRIED = 729  # combinations of joints at rest: six joints
+
+
+class LoadError(MbsError):
+    """Friction by loads that allows no motion, or several, or it is not known."""
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """K states of a tree: M qdd = f + forces of friction, and the forces r + B qdd of R bearings."""
+
+    M: Array  # (K, n, n)
+    f: Array  # (K, n)
+    r: Array  # (K, R, 3)
+    B: Array  # (K, R, 3, n)
+
+    def pick(self, k: int) -> State:
+        """Return one state."""
+        return State(*(x[k : k + 1] for x in (self.M, self.f, self.r, self.B)))
+
+
+@dataclass(frozen=True, eq=False)
+class Rub:
+    """Friction in K states: the accelerations, the forces of dry joints, and the loads N of joints, (K, n) each."""
+
+    qdd: Array
+    lam: Array
+    loads: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Bearings:
+    """The joints with dry friction of a tree."""
+
+    dynamics: Dynamics  # in a formulation with a mass matrix
+    joints: Joints
+    coefficient: Array  # (n,): times the arm [m, or 1]; 0 of joints without a load
+    static: Array  # (n,): the same at rest
+    owner: NDArray[np.intp]  # (R,): the joint of each bearing
+    frame: NDArray[np.intp]  # (R,): its joint's frame
+    axis: Array  # (R, 3): in that frame
+    part: Array  # (R,): of the force
+    lever: Array  # (R,): of the moment [1/m]
+
+    @classmethod
+    def of(cls, dynamics: Dynamics) -> Bearings:
+        """Read them from a manifest."""
+        manifest = dynamics.kernels.manifest
+        assert manifest.appearance is not None, "a manifest with loads has axles"
+        frames = {x.coordinate: (k, x.axis) for k, x in enumerate(manifest.appearance.axles)}
+        loads = [None if c.friction is None else c.friction.load for c in manifest.coordinates]
+        rows = [(i, *frames[i], *row) for i, x in enumerate(loads) if x is not None for row in _list_bearings(x)]
+        owner, frame, axis, part, lever = zip(*rows, strict=True)
+        return cls(
+            dynamics,
+            Joints.of(manifest),
+            np.array([0.0 if x is None else x.coefficient * x.arm for x in loads]),
+            np.array([0.0 if x is None else x.static * x.arm for x in loads]),
+            np.array(owner, dtype=np.intp),
+            np.array(frame, dtype=np.intp),
+            np.array(axis),
+            np.array(part),
+            np.array(lever),
+        )
+
+    @property
+    def starting(self) -> Array:
+        """The coefficients of joints that start to slide: the static ones where they fall over a Stribeck speed."""
+        return np.asarray(np.where(self.joints.stribeck > 0, self.static, self.coefficient))
+
+    def rub(self, qd: Array) -> Array:
+        """Return the coefficients of sliding joints at velocities (..., n)."""
+        stribeck = self.joints.stribeck
+        slowness = np.divide(1.0, stribeck, out=np.zeros_like(stribeck), where=stribeck > 0)
+        fall = np.where(stribeck > 0, self.static - self.coefficient, 0.0)
+        return np.asarray(self.coefficient + fall * np.exp(-((qd * slowness) ** 2)))
+
+    def place(self, q: Array, qd: Array, v: Array) -> State:
+        """Describe states (K, nq), (K, n) with inputs (K, m)."""
+        dynamics, (K, n) = self.dynamics, qd.shape
+        M, f = dynamics.mass_matrix(q, qd, v), -dynamics.residual(q, qd, np.zeros_like(qd), v)
+        many = (np.repeat(x, n + 1, axis=0) for x in (q, qd, v))
+        found = dynamics.call("reactions", *many, qdd=np.tile(np.eye(n + 1, n, k=-1), (K, 1)))
+        turns = dynamics.kernels("frames", q=q)["R"].reshape(K, 3, -1, 3).transpose(0, 2, 1, 3)
+        a = (turns[:, self.frame] @ self.axis[..., None])[:, None, :, :, 0]
+        force, moment = (
+            found[name].reshape(K, n + 1, 3, -1).transpose(0, 1, 3, 2)[:, :, self.frame] for name in ("force", "moment")
+        )
+        rows = self.part[:, None] * (force - (force * a).sum(axis=3, keepdims=True) * a)
+        if self.lever.any():
+            rows = rows + self.lever[:, None] * np.cross(np.broadcast_to(a, moment.shape), moment)
+        return State(M, f, rows[:, 0], (rows[:, 1:] - rows[:, :1]).transpose(0, 2, 3, 1))
+
+    def slide(self, state: State, qd: Array, modes: NDArray[np.int_]) -> Rub:
+        """Return the friction in given modes (n,), at velocities (K, n). Raises LoadError."""
+        ways, held = _read_modes(modes)
+        found = self.solve(state, ways, held, self.joints.rub(qd), self.rub(qd))
+        if len(found) == 1:
+            return found[0]
+        raise self._deny(len(found))
+
+    def solve(
+        self, state: State, ways: NDArray[np.int_], held: NDArray[np.intp], torque: Array, grip: Array
+    ) -> list[Rub]:
+        """Return all solutions where joints slide in their `ways` (n,), and `held` ones rest; torque, grip: (K, n).
+
+        Of states in which several solutions may be, or none, only the first one counts. Raises LoadError.
+        """
+        (K, n), free = state.f.shape, np.setdiff1d(np.arange(len(ways)), held)
+        sliding = np.flatnonzero((ways != 0) & (self.static > 0))
+        W = np.zeros((K, n, n))
+        W[:, free[:, None], free] = np.linalg.inv(state.M[:, free[:, None], free])
+        forces, factors = -ways * torque, (ways * grip)[:, sliding]
+        start, columns = _apply(W, state.f + forces), -W[:, :, sliding] * factors[:, None]
+        rows = np.isin(self.owner, sliding)
+        sums = (self.owner[rows] == sliding[:, None]).astype(np.float64)
+        c = (state.r + _apply(state.B, start[:, None]))[:, rows]
+        D = (state.B @ columns[:, None])[:, rows]
+        loads = np.zeros((1, K, sliding.size))
+        if sliding.size:
+            S = sums @ np.sqrt((D * D).sum(axis=2))
+            sizes = S[:, 0, 0] if sliding.size == 1 else np.abs(np.linalg.eigvals(S)).max(axis=1)
+            if not (sizes < 1).all():
+                k = int(np.flatnonzero(~(sizes < 1))[0])
+                if K > 1:
+                    return self.solve(state.pick(k), ways, held, torque[k : k + 1], grip[k : k + 1])
+                if sliding.size > 1:
+                    finding = f"whether a motion obeys the friction by the load of joints {self._name(sliding)}"
+                    raise LoadError(f"{finding} is not known: their loads depend on it too much")
+                loads = np.array(_find_roots(c[0], D[0, :, :, 0])).reshape(-1, 1, 1)
+            else:
+                loads = _contract(sums, S, c, D)[None]
+        return [self._complete(state, held, start + _apply(columns, N), forces, (sliding, factors * N)) for N in loads]
+
+    def _complete(
+        self, state: State, held: NDArray[np.intp], qdd: Array, forces: Array, rubbed: tuple[NDArray[np.intp], Array]
+    ) -> Rub:
+        """Return accelerations with all forces of friction, and the loads."""
+        lam, loads = forces.copy(), np.zeros_like(qdd)
+        lam[:, rubbed[0]] -= rubbed[1]
+        lam[:, held] = (_apply(state.M, qdd) - state.f)[:, held]
+        bearings = state.r + _apply(state.B, qdd[:, None])
+        np.add.at(loads, (slice(None), self.owner), np.sqrt((bearings * bearings).sum(axis=2)))
+        return Rub(qdd, lam, loads)
+
+    def _deny(self, count: int) -> LoadError:
+        names = self._name(np.flatnonzero(self.static > 0))
+        told = "no motion obeys" if not count else f"{count} motions obey"
+        return LoadError(f"{told} the friction by the load of joints {names}: Painleve's paradox")
+
+    def settle(self, state: State, qd: Array, released: Mapping[int, int]) -> tuple[NDArray[np.int_], Rub]:
+        """Return the mode of each joint; `released` ones start to slide in their ways. Raises LoadError."""
+        joints = self.joints
+        modes = np.where(joints.is_dry & (qd != 0), np.sign(qd), Mode.FREE).astype(np.int_)
+        still = np.flatnonzero((qd == 0) & joints.is_dry)
+        torque, grip = joints.rub(qd), self.rub(qd)
+        torque[still], grip[still] = joints.static[still], self.static[still]
+        for i in released:
+            torque[i], grip[i] = joints.starting[i], self.starting[i]
+        while True:
+            found = self._search(state, modes, still, torque, grip, released)
+            slips = [i for i in still.tolist() if abs(found[0][i]) == 1 and self._falls(i, torque, grip)]
+            if not slips:
+                return found
+            torque[slips], grip[slips] = joints.starting[slips], self.starting[slips]
+
+    def _falls(self, i: int, torque: Array, grip: Array) -> bool:
+        return bool(torque[i] > self.joints.starting[i] or grip[i] > self.starting[i])
+
+    def _search(
+        self,
+        state: State,
+        modes: NDArray[np.int_],
+        still: NDArray[np.intp],
+        torque: Array,
+        grip: Array,
+        released: Mapping[int, int],
+    ) -> tuple[NDArray[np.int_], Rub]:
+        """Try all combinations of sticking and sliding of joints at rest."""
+        every = (int(Mode.STICKS), int(Mode.FORWARD), int(Mode.BACKWARD))
+        options = [(released[i],) if i in released else every for i in still.tolist()]
+        if np.prod([len(x) for x in options]) > TRIED:
+            raise LoadError(f"more than six joints with friction are at rest at once: {self._name(still)}")
+        found = list[tuple[NDArray[np.int_], Rub]]()
+        for chosen in itertools.product(*options):
+            tried = modes.copy()
+            tried[still] = chosen
+            for rub in self._try(state, tried, still, torque, grip):
+                if not any(_is_same(rub, other) for _, other in found):
+                    found.append((tried, rub))
+        if not found and released:
+            return self._search(state, modes, still, torque, grip, {})
+        if len(found) != 1:
+            raise self._deny(len(found))
+        return found[0]
+
+    def _try(
+        self, state: State, modes: NDArray[np.int_], still: NDArray[np.intp], torque: Array, grip: Array
+    ) -> list[Rub]:
+        """Return the solutions in modes whose conditions hold."""
+        ways, held = _read_modes(modes)
+        starts = still[modes[still] != Mode.STICKS]
+        good = []
+        for rub in self.solve(state, ways, held, torque[None], grip[None]):
+            (qdd,), (lam,), (loads,) = rub.qdd, rub.lam, rub.loads
+            most = torque[held] + grip[held] * loads[held]
+            terms = np.abs(np.linalg.inv(state.M[0])) @ (np.abs(state.f[0]) + np.abs(lam))
+            holds = np.abs(lam[held]) <= most + NEAR * (most + np.abs(lam[held]))
+            moves = ways[starts] * qdd[starts] >= -NEAR * terms[starts]
+            if holds.all() and moves.all():
+                good.append(rub)
+        return good
+
+    def _name(self, chosen: NDArray[np.intp]) -> str:
+        return ", ".join(self.joints.manifest.coordinates[i].name for i in chosen)
+
+
+def _list_bearings(load: BearingLoad) -> list[tuple[float, float]]:
+    """List the bearings of a joint: the parts of the force, and the levers of the moment [1/m]."""
+    return [(1.0, 0.0)] if load.length is None else [(0.5, 1 / load.length), (0.5, -1 / load.length)]
+
+
+def _read_modes(modes: NDArray[np.int_]) -> tuple[NDArray[np.int_], NDArray[np.intp]]:
+    """Return the ways in which joints slide (n,), else 0, and the joints that stick."""
+    return np.where(np.abs(modes) == 1, modes, 0), np.flatnonzero(modes == Mode.STICKS)
+
+
+def _apply(A: Array, x: Array) -> Array:
+    """Return products of matrices (..., m, n) with vectors (..., n)."""
+    return np.asarray((A @ x[..., None])[..., 0])
+
+
+def _contract(sums: Array, S: Array, c: Array, D: Array) -> Array:
+    """Solve N = sums |c + D N|, (K, d), by Newton's method; a step that is no better is one of the iteration.
+
+    Bearings: c (K, R, 3), D (K, R, 3, d); sums (d, R), of radii of S (K, d, d) below 1. Raises LoadError.
+    """
+    one = np.eye(len(sums))
+    weight = np.linalg.solve(one - S, np.ones((len(c), len(sums), 1)))[..., 0]  # S weight < weight
+    lengths = np.sqrt((c * c).sum(axis=2)) @ sums.T
+
+    def look(N: Array) -> tuple[Array, Array]:
+        forces = c + _apply(D, N[:, None])
+        sizes = np.sqrt((forces * forces).sum(axis=2))
+        units = forces / np.maximum(sizes, np.finfo(float).tiny)[..., None]
+        return sizes @ sums.T - N, sums @ (units[:, :, None] @ D)[:, :, 0]
+
+    N = lengths
+    rest, slopes = look(N)
+    for _ in range(MOST):
+        trial = N + np.linalg.solve(one - slopes, rest[..., None])[..., 0]
+        found = look(trial)
+        is_worse = ((np.abs(found[0]) / weight).max(axis=1) > (np.abs(rest) / weight).max(axis=1))[:, None]
+        if is_worse.any():
+            trial = np.where(is_worse, N + rest, trial)
+            found = look(trial)
+        change, N, (rest, slopes) = np.abs(trial - N), trial, found
+        if (change <= FIXED * (lengths + _apply(S, np.abs(N)))).all():
+            return N
+    raise LoadError("the loads of joints, on which friction depends, are not found to rounding")
+
+
+def _is_same(one: Rub, other: Rub) -> bool:
+    size = np.abs(one.qdd).max() + np.abs(other.qdd).max()
+    return bool(np.abs(one.qdd - other.qdd).max() <= SAME * size)
+
+
+def _find_roots(c: Array, D: Array) -> list[float]:
+    """Return all N >= 0 with N = sum |c + D N|, for bearings (R, 3): two, one, or none. Raises LoadError."""
+    from scipy.optimize import brentq  # here, and late: it takes long to load
+
+    def rest(N: float) -> float:
+        return float(np.linalg.norm(c + D * N, axis=1).sum() - N)
+
+    def slope(N: float) -> float:
+        forces = c + D * N
+        sizes = np.maximum(np.linalg.norm(forces, axis=1), np.finfo(float).tiny)
+        return float(((forces * D).sum(axis=1) / sizes).sum() - 1)
+
+    if slope(0.0) >= 0:
+        return [0.0] if rest(0.0) <= 0 else []
+    last = float(np.linalg.norm(c, axis=1).sum())
+    for _ in range(DOUBLED):
+        if slope(last) > 0 and rest(last) > 0:
+            break
+        last *= 2
+    else:
+        raise LoadError("whether a motion obeys the friction by the load of a joint is not known to rounding")
+    bottom = brentq(slope, 0.0, last, xtol=FIXED * last, rtol=FIXED)
+    if rest(bottom) > 0:
+        return []
+    return [float(brentq(rest, *ends, xtol=FIXED * last, rtol=FIXED)) for ends in ((0.0, bottom), (bottom, last))]
