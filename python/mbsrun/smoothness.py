@@ -6,6 +6,7 @@ from mbsgen.errors import Fault, InputError
 from mbsgen.manifest import Manifest
 
 FRICTION = "smooth it by a speed: friction: {torque: 1, speed: 0.01}"
+LOADS = "give a torque in place of load, and smooth it by a speed: friction: {torque: 1, speed: 0.01}"
 CONTACTS = "give contacts a stiffness in place of a restitution"
 STOPS = "give the stops a stiffness in place of a restitution, or leave them out"
 
@@ -14,7 +15,7 @@ def find_hidden(manifest: Manifest, *, stops: bool) -> tuple[str, str] | None:
     """Return which joints or contacts have forces that no kernel has, and the remedy; with `stops` stops count too."""
     dry = [c.name for c in manifest.coordinates if c.friction is not None]
     if dry:
-        return f"dry friction of joints {', '.join(dry)}, which is in no kernel", FRICTION
+        return f"dry friction of joints {', '.join(dry)}, which is in no kernel", LOADS if manifest.loaded else FRICTION
     if manifest.rigid:
         names = ", ".join(point.name for point in manifest.rigid)
         return f"forces of rigid contacts {names}, which are in no kernel", CONTACTS

@@ -169,8 +169,11 @@ def read_course(model: Path, file: Path | None, duration: float | None) -> Cours
 
 
 def _demand_reference(manifest: Manifest) -> None:
-    """Refuse rigid contacts, and joints that switch beside driven ones: no two methods have all digits of these."""
-    if manifest.rigid or (manifest.switching and is_constrained(manifest)):
+    """Refuse rigid contacts, friction by loads, and joints that switch beside driven ones.
+
+    No two methods have all digits of these.
+    """
+    if manifest.rigid or manifest.loaded or (manifest.switching and is_constrained(manifest)):
         demand_smooth(manifest, "a chart of methods", stops=True)
 
 

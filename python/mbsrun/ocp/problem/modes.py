@@ -77,7 +77,10 @@ def find_faults(modes: Modes, manifest: Manifest, axes: Axes) -> Iterator[Findin
         elif fault := _find_wrong_way(laws[name], mode, axes):
             yield Finding((name,), *fault)
     for law in manifest.open_joints:
-        if law.friction is not None and law.name not in modes:
+        if law.friction is not None and law.friction.load is not None:
+            finding = f"friction by the load of joint {law.name} has no modes"
+            yield Finding((), finding, "give a torque in place of load in the model")
+        elif law.friction is not None and law.name not in modes:
             finding = f"{law.name} has dry friction, and no mode"
             yield Finding((), finding, f"give {law.name}: {' or '.join(list_modes(law))}")
         if _name(manifest, "qd", law) is None:

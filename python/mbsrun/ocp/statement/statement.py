@@ -275,7 +275,7 @@ class _Reading(PartReading):
         self.closure = find_closure(self.plant)
         hidden = find_hidden(self.manifest, stops=False)
         if hidden is not None and section.modes is None:
-            remedy = f"{hidden[1]}, or give `modes`"
+            remedy = hidden[1] if self.manifest.loaded else f"{hidden[1]}, or give `modes`"
             self.fault(("model",), f"an optimal control problem would miss {hidden[0]}", remedy)
         chosen_names = [x.name for x in unknowns]
         self.lengths = [name for name in self.closure.parameters if name in chosen_names] if self.closure else []

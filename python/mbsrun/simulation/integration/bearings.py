@@ -66,6 +66,18 @@ class State:
 
 
 @dataclass(frozen=True, eq=False)
+class Pattern:
+    """The modes of joints, with what follows from these alone."""
+
+    ways: NDArray[np.int_]  # (n,): in which joints slide, else 0
+    held: NDArray[np.intp]  # joints that stick,
+    free: NDArray[np.intp]  # and all others
+    sliding: NDArray[np.intp]  # (d,): joints whose friction depends on their load
+    rows: NDArray[np.intp]  # their bearings
+    sums: Array  # (d, rows): 1 for the bearings of each
+
+
+@dataclass(frozen=True, eq=False)
 class Rub:
     """Friction in K states: the accelerations, the forces of dry joints, and the loads N of joints, (K, n) each."""
 
@@ -84,9 +96,8 @@ class Bearings:
     static: Array  # (n,): the same at rest
     owner: NDArray[np.intp]  # (R,): the joint of each bearing
     frame: NDArray[np.intp]  # (R,): its joint's frame
-    axis: Array  # (R, 3): in that frame
-    part: Array  # (R,): of the force
-    lever: Array  # (R,): of the moment [1/m]
+    by_force: Array  # (R, 3, 3): the load of a bearing by the joint's force in that frame,
+    by_moment: Array  # (R, 3, 3): and by its moment [1/m]
 
     @classmethod
     def of(cls, dynamics: Dynamics) -> Bearings:
@@ -96,7 +107,8 @@ class Bearings:
         frames = {x.coordinate: (k, x.axis) for k, x in enumerate(manifest.appearance.axles)}
         loads = [None if c.friction is None else c.friction.load for c in manifest.coordinates]
         rows = [(i, *frames[i], *row) for i, x in enumerate(loads) if x is not None for row in _list_bearings(x)]
-        owner, frame, axis, part, lever = zip(*rows, strict=True)
+        owner, frame, axes, parts, levers = zip(*rows, strict=True)
+        a, across = np.array(axes), [np.eye(3) - np.outer(axis, axis) for axis in axes]
         return cls(
             dynamics,
             Joints.of(manifest),
@@ -104,9 +116,8 @@ class Bearings:
             np.array([0.0 if x is None else x.static * x.arm for x in loads]),
             np.array(owner, dtype=np.intp),
             np.array(frame, dtype=np.intp),
-            np.array(axis),
-            np.array(part),
-            np.array(lever),
+            np.array(parts)[:, None, None] * across,
+            np.array(levers)[:, None, None] * np.cross(a[:, None], np.eye(3)).transpose(0, 2, 1),
         )
 
     @property
@@ -121,62 +132,65 @@ class Bearings:
         fall = np.where(stribeck > 0, self.static - self.coefficient, 0.0)
         return np.asarray(self.coefficient + fall * np.exp(-((qd * slowness) ** 2)))
 
+    def read(self, modes: NDArray[np.int_]) -> Pattern:
+        """Read the modes of joints (n,)."""
+        ways, sticks = np.where(np.abs(modes) == 1, modes, 0), modes == Mode.STICKS
+        sliding = np.flatnonzero((ways != 0) & (self.static > 0))
+        rows = np.flatnonzero(np.isin(self.owner, sliding))
+        sums = (self.owner[rows] == sliding[:, None]).astype(np.float64)
+        return Pattern(ways, np.flatnonzero(sticks), np.flatnonzero(~sticks), sliding, rows, sums)
+
     def place(self, q: Array, qd: Array, v: Array) -> State:
         """Describe states (K, nq), (K, n) with inputs (K, m)."""
         dynamics, (K, n) = self.dynamics, qd.shape
         M, f = dynamics.mass_matrix(q, qd, v), -dynamics.residual(q, qd, np.zeros_like(qd), v)
-        many = (np.repeat(x, n + 1, axis=0) for x in (q, qd, v))
-        found = dynamics.call("reactions", *many, qdd=np.tile(np.eye(n + 1, n, k=-1), (K, 1)))
-        turns = dynamics.kernels("frames", q=q)["R"].reshape(K, 3, -1, 3).transpose(0, 2, 1, 3)
-        a = (turns[:, self.frame] @ self.axis[..., None])[:, None, :, :, 0]
+        many, units = [np.repeat(x, n + 1, axis=0) for x in (q, qd, v)], np.tile(np.eye(n + 1, n, k=-1), (K, 1))
+        found = dynamics.call("reactions", many[0], many[1], many[2], units)
+        turns = dynamics.kernels("frames", q=q)["R"].reshape(K, 3, -1, 3).transpose(0, 2, 3, 1)[:, self.frame]
         force, moment = (
-            found[name].reshape(K, n + 1, 3, -1).transpose(0, 1, 3, 2)[:, :, self.frame] for name in ("force", "moment")
+            found[name].reshape(K, n + 1, 3, -1).transpose(0, 3, 2, 1)[:, self.frame] for name in ("force", "moment")
         )
-        rows = self.part[:, None] * (force - (force * a).sum(axis=3, keepdims=True) * a)
-        if self.lever.any():
-            rows = rows + self.lever[:, None] * np.cross(np.broadcast_to(a, moment.shape), moment)
-        return State(M, f, rows[:, 0], (rows[:, 1:] - rows[:, :1]).transpose(0, 2, 3, 1))
+        loads = self.by_force @ (turns @ force) + self.by_moment @ (turns @ moment)
+        return State(M, f, loads[..., 0], loads[..., 1:] - loads[..., :1])
 
-    def slide(self, state: State, qd: Array, modes: NDArray[np.int_]) -> Rub:
-        """Return the friction in given modes (n,), at velocities (K, n). Raises LoadError."""
-        ways, held = _read_modes(modes)
-        found = self.solve(state, ways, held, self.joints.rub(qd), self.rub(qd))
+    def slide(self, state: State, qd: Array, pattern: Pattern) -> Rub:
+        """Return the friction in given modes, at velocities (K, n). Raises LoadError."""
+        found = self.solve(state, pattern, self.joints.rub(qd), self.rub(qd))
         if len(found) == 1:
             return found[0]
         raise self._deny(len(found))
 
-    def solve(
-        self, state: State, ways: NDArray[np.int_], held: NDArray[np.intp], torque: Array, grip: Array
-    ) -> list[Rub]:
-        """Return all solutions where joints slide in their `ways` (n,), and `held` ones rest; torque, grip: (K, n).
+    def solve(self, state: State, pattern: Pattern, torque: Array, grip: Array) -> list[Rub]:
+        """Return all solutions in given modes, with torques and coefficients (K, n) of sliding joints.
 
         Of states in which several solutions may be, or none, only the first one counts. Raises LoadError.
         """
-        (K, n), free = state.f.shape, np.setdiff1d(np.arange(len(ways)), held)
-        sliding = np.flatnonzero((ways != 0) & (self.static > 0))
+        (K, n), ways, free, sliding = state.f.shape, pattern.ways, pattern.free, pattern.sliding
         W = np.zeros((K, n, n))
-        W[:, free[:, None], free] = np.linalg.inv(state.M[:, free[:, None], free])
+        factor = np.linalg.inv(self.dynamics.factorise(state.M, free))
+        W[:, free[:, None], free] = factor.transpose(0, 2, 1) @ factor
         forces, factors = -ways * torque, (ways * grip)[:, sliding]
         start, columns = _apply(W, state.f + forces), -W[:, :, sliding] * factors[:, None]
-        rows = np.isin(self.owner, sliding)
-        sums = (self.owner[rows] == sliding[:, None]).astype(np.float64)
-        c = (state.r + _apply(state.B, start[:, None]))[:, rows]
-        D = (state.B @ columns[:, None])[:, rows]
+        c = (state.r + _apply(state.B, start[:, None]))[:, pattern.rows]
+        D = (state.B @ columns[:, None])[:, pattern.rows]
         loads = np.zeros((1, K, sliding.size))
         if sliding.size:
-            S = sums @ np.sqrt((D * D).sum(axis=2))
-            sizes = S[:, 0, 0] if sliding.size == 1 else np.abs(np.linalg.eigvals(S)).max(axis=1)
+            S = pattern.sums @ np.sqrt((D * D).sum(axis=2))
+            sizes = _find_radius(S)
             if not (sizes < 1).all():
                 k = int(np.flatnonzero(~(sizes < 1))[0])
                 if K > 1:
-                    return self.solve(state.pick(k), ways, held, torque[k : k + 1], grip[k : k + 1])
+                    return self.solve(state.pick(k), pattern, torque[k : k + 1], grip[k : k + 1])
                 if sliding.size > 1:
                     finding = f"whether a motion obeys the friction by the load of joints {self._name(sliding)}"
                     raise LoadError(f"{finding} is not known: their loads depend on it too much")
                 loads = np.array(_find_roots(c[0], D[0, :, :, 0])).reshape(-1, 1, 1)
             else:
-                loads = _contract(sums, S, c, D)[None]
-        return [self._complete(state, held, start + _apply(columns, N), forces, (sliding, factors * N)) for N in loads]
+                loads = _contract(pattern.sums, S, c, D)[None]
+        return [
+            self._complete(state, pattern.held, start + _apply(columns, N), forces, (sliding, factors * N))
+            for N in loads
+        ]
 
     def _complete(
         self, state: State, held: NDArray[np.intp], qdd: Array, forces: Array, rubbed: tuple[NDArray[np.intp], Array]
@@ -186,7 +200,7 @@ class Bearings:
         lam[:, rubbed[0]] -= rubbed[1]
         lam[:, held] = (_apply(state.M, qdd) - state.f)[:, held]
         bearings = state.r + _apply(state.B, qdd[:, None])
-        np.add.at(loads, (slice(None), self.owner), np.sqrt((bearings * bearings).sum(axis=2)))
+        np.add.at(loads.T, self.owner, np.sqrt((bearings * bearings).sum(axis=2)).T)
         return Rub(qdd, lam, loads)
 
     def _deny(self, count: int) -> LoadError:
@@ -195,23 +209,24 @@ class Bearings:
         return LoadError(f"{told} the friction by the load of joints {names}: Painleve's paradox")
 
     def settle(self, state: State, qd: Array, released: Mapping[int, int]) -> tuple[NDArray[np.int_], Rub]:
-        """Return the mode of each joint; `released` ones start to slide in their ways. Raises LoadError."""
+        """Return the mode of each joint in one state; `released` ones start to slide. Raises LoadError."""
         joints = self.joints
         modes = np.where(joints.is_dry & (qd != 0), np.sign(qd), Mode.FREE).astype(np.int_)
         still = np.flatnonzero((qd == 0) & joints.is_dry)
         torque, grip = joints.rub(qd), self.rub(qd)
         torque[still], grip[still] = joints.static[still], self.static[still]
-        for i in released:
-            torque[i], grip[i] = joints.starting[i], self.starting[i]
+        starts = list(released)
         while True:
+            torque[starts], grip[starts] = joints.starting[starts], self.starting[starts]
             found = self._search(state, modes, still, torque, grip, released)
-            slips = [i for i in still.tolist() if abs(found[0][i]) == 1 and self._falls(i, torque, grip)]
-            if not slips:
-                return found
-            torque[slips], grip[slips] = joints.starting[slips], self.starting[slips]
-
-    def _falls(self, i: int, torque: Array, grip: Array) -> bool:
-        return bool(torque[i] > self.joints.starting[i] or grip[i] > self.starting[i])
+            if not found and released:
+                return self.settle(state, qd, {})
+            if len(found) != 1:
+                raise self._deny(len(found))
+            falls = (torque > joints.starting) | (grip > self.starting)
+            starts = [i for i in still.tolist() if abs(found[0][0][i]) == 1 and falls[i]]
+            if not starts:
+                return found[0]
 
     def _search(
         self,
@@ -221,38 +236,41 @@ class Bearings:
         torque: Array,
         grip: Array,
         released: Mapping[int, int],
-    ) -> tuple[NDArray[np.int_], Rub]:
-        """Try all combinations of sticking and sliding of joints at rest."""
+    ) -> list[tuple[NDArray[np.int_], Rub]]:
+        """Try all combinations of sticking and sliding of joints at rest; list those that differ in the motion."""
         every = (int(Mode.STICKS), int(Mode.FORWARD), int(Mode.BACKWARD))
         options = [(released[i],) if i in released else every for i in still.tolist()]
         if np.prod([len(x) for x in options]) > TRIED:
             raise LoadError(f"more than six joints with friction are at rest at once: {self._name(still)}")
-        found = list[tuple[NDArray[np.int_], Rub]]()
+        factor = np.linalg.inv(self.dynamics.factorise(state.M, np.arange(len(modes))))[0]
+        inertia, found = np.abs(factor.T @ factor), list[tuple[NDArray[np.int_], Rub]]()
         for chosen in itertools.product(*options):
             tried = modes.copy()
             tried[still] = chosen
-            for rub in self._try(state, tried, still, torque, grip):
-                if not any(_is_same(rub, other) for _, other in found):
+            for rub in self._try(state, tried, still, torque, grip, inertia):
+                noise = SAME * np.abs(rub.qdd).max() + NEAR * (inertia @ np.abs(state.f[0])).max()
+                if all(np.abs(rub.qdd - other.qdd).max() > noise for _, other in found):
                     found.append((tried, rub))
-        if not found and released:
-            return self._search(state, modes, still, torque, grip, {})
-        if len(found) != 1:
-            raise self._deny(len(found))
-        return found[0]
+        return found
 
     def _try(
-        self, state: State, modes: NDArray[np.int_], still: NDArray[np.intp], torque: Array, grip: Array
+        self,
+        state: State,
+        modes: NDArray[np.int_],
+        still: NDArray[np.intp],
+        torque: Array,
+        grip: Array,
+        inertia: Array,
     ) -> list[Rub]:
-        """Return the solutions in modes whose conditions hold."""
-        ways, held = _read_modes(modes)
-        starts = still[modes[still] != Mode.STICKS]
+        """Return the solutions in modes whose conditions hold; inertia: the sizes of the entries of M^-1."""
+        pattern = self.read(modes)
+        ways, held, starts = pattern.ways, pattern.held, still[modes[still] != Mode.STICKS]
         good = []
-        for rub in self.solve(state, ways, held, torque[None], grip[None]):
+        for rub in self.solve(state, pattern, torque[None], grip[None]):
             (qdd,), (lam,), (loads,) = rub.qdd, rub.lam, rub.loads
             most = torque[held] + grip[held] * loads[held]
-            terms = np.abs(np.linalg.inv(state.M[0])) @ (np.abs(state.f[0]) + np.abs(lam))
             holds = np.abs(lam[held]) <= most + NEAR * (most + np.abs(lam[held]))
-            moves = ways[starts] * qdd[starts] >= -NEAR * terms[starts]
+            moves = ways[starts] * qdd[starts] >= -NEAR * (inertia @ (np.abs(state.f[0]) + np.abs(lam)))[starts]
             if holds.all() and moves.all():
                 good.append(rub)
         return good
@@ -266,14 +284,17 @@ def _list_bearings(load: BearingLoad) -> list[tuple[float, float]]:
     return [(1.0, 0.0)] if load.length is None else [(0.5, 1 / load.length), (0.5, -1 / load.length)]
 
 
-def _read_modes(modes: NDArray[np.int_]) -> tuple[NDArray[np.int_], NDArray[np.intp]]:
-    """Return the ways in which joints slide (n,), else 0, and the joints that stick."""
-    return np.where(np.abs(modes) == 1, modes, 0), np.flatnonzero(modes == Mode.STICKS)
-
-
 def _apply(A: Array, x: Array) -> Array:
     """Return products of matrices (..., m, n) with vectors (..., n)."""
     return np.asarray((A @ x[..., None])[..., 0])
+
+
+def _find_radius(S: Array) -> Array:
+    """Return the spectral radii (K,) of matrices (K, d, d); NaN where they have no number."""
+    if S.shape[1] == 1:
+        return np.asarray(S[:, 0, 0])
+    known = np.asarray(np.isfinite(S).all(axis=(1, 2)))
+    return np.where(known, np.abs(np.linalg.eigvals(np.where(known[:, None, None], S, 0.0))).max(axis=1), np.nan)
 
 
 def _contract(sums: Array, S: Array, c: Array, D: Array) -> Array:
@@ -291,7 +312,7 @@ def _contract(sums: Array, S: Array, c: Array, D: Array) -> Array:
         units = forces / np.maximum(sizes, np.finfo(float).tiny)[..., None]
         return sizes @ sums.T - N, sums @ (units[:, :, None] @ D)[:, :, 0]
 
-    N = lengths
+    N: Array = lengths
     rest, slopes = look(N)
     for _ in range(MOST):
         trial = N + np.linalg.solve(one - slopes, rest[..., None])[..., 0]
@@ -301,14 +322,9 @@ def _contract(sums: Array, S: Array, c: Array, D: Array) -> Array:
             trial = np.where(is_worse, N + rest, trial)
             found = look(trial)
         change, N, (rest, slopes) = np.abs(trial - N), trial, found
-        if (change <= FIXED * (lengths + _apply(S, np.abs(N)))).all():
+        if (change <= FIXED * weight * (lengths + _apply(S, np.abs(N)))).all():
             return N
     raise LoadError("the loads of joints, on which friction depends, are not found to rounding")
-
-
-def _is_same(one: Rub, other: Rub) -> bool:
-    size = np.abs(one.qdd).max() + np.abs(other.qdd).max()
-    return bool(np.abs(one.qdd - other.qdd).max() <= SAME * size)
 
 
 def _find_roots(c: Array, D: Array) -> list[float]:

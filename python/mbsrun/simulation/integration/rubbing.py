@@ -16,7 +16,7 @@ from mbsrun.kernel import KernelError
 from mbsrun.limits import Allowance
 from mbsrun.simulation.drive import Piece
 from mbsrun.simulation.dynamics import Dynamics
-from mbsrun.simulation.integration.bearings import Bearings, LoadError, Rub
+from mbsrun.simulation.integration.bearings import Bearings, LoadError, Pattern, Rub
 from mbsrun.simulation.integration.joints import name_change
 from mbsrun.simulation.integration.stepwise import Stepwise
 from mbsrun.simulation.integration.tableaus import Pair
@@ -41,6 +41,7 @@ class Modes:
     """The mode of each joint."""
 
     numbers: NDArray[np.int_]  # (n,), as `Mode` lists them
+    pattern: Pattern
 
     @property
     def is_locked(self) -> bool:
@@ -86,7 +87,7 @@ class _Course(Stepwise[Modes, Guard]):
         modes, _ = self.bearings.settle(state, qd, self.released)
         if self.mode is not None:
             self.passed = (*self.passed, *self.compare(time, qd, modes))
-        self.mode, self.released, self.fired = Modes(modes), {}, ()
+        self.mode, self.released, self.fired = Modes(modes, self.bearings.read(modes)), {}, ()
         return q, qd
 
     def compare(self, time: float, qd: Array, modes: NDArray[np.int_]) -> Iterator[Event]:
@@ -100,7 +101,7 @@ class _Course(Stepwise[Modes, Guard]):
     def rub(self, piece: Piece, mode: Modes, t: Array, x: Array) -> Rub:
         """Return the friction at states (K, nq + n)."""
         q, qd = np.split(x, [self.dynamics.places], axis=1)
-        return self.bearings.slide(self.bearings.place(q, qd, piece.follow(t, q, qd)), qd, mode.numbers)
+        return self.bearings.slide(self.bearings.place(q, qd, piece.follow(t, q, qd)), qd, mode.pattern)
 
     def move(self, piece: Piece, mode: Modes, t: Array, x: Array) -> Array:
         """Return the rates of states."""
