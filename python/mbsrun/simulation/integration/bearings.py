@@ -339,8 +339,10 @@ def _find_roots(c: Array, D: Array) -> list[float]:
         sizes = np.maximum(np.linalg.norm(forces, axis=1), np.finfo(float).tiny)
         return float(((forces * D).sum(axis=1) / sizes).sum() - 1)
 
+    if not c.any():
+        return [0.0]
     if slope(0.0) >= 0:
-        return [0.0] if rest(0.0) <= 0 else []
+        return []
     last = float(np.linalg.norm(c, axis=1).sum())
     for _ in range(DOUBLED):
         if slope(last) > 0 and rest(last) > 0:
