@@ -380,6 +380,8 @@ def _hash(tree: Tree, families: tuple[Family, ...]) -> str:
     text += repr(bounds) if any(map(any, bounds)) else ""
     ends = [(j.stops, j.dry) for j in (b.joint for b in tree.bodies)]
     text += repr(ends) if any(map(any, ends)) else ""
+    loads = [None if dry is None else dry.load for _, dry in ends]
+    text += repr(loads) if any(loads) else ""
     written = [function for family in families for function in family.functions]
     tapes = [_content(function) for function in written]
     return hashlib.sha256(f"{text}{tapes!r}".encode()).hexdigest()

@@ -76,7 +76,7 @@ class DryFriction:
     static: float  # the most that holds a joint at rest
     stribeck: float | None  # speed over which the latter falls to the former; None: at once
     one_way: int = 0  # of a clutch: 1 or -1, the only way in which the joint moves
-    load: BearingLoad | None = None  # what the joint's reaction adds
+    load: BearingLoad | None = field(default=None, repr=False)  # what the joint's reaction adds
 
 
 @dataclass(frozen=True)

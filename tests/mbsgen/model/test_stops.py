@@ -12,10 +12,10 @@ from mbsgen.model.changes.reduction import build_tree
 from mbsgen.model.changes.releasing import with_runtime_numbers
 from mbsgen.model.construction import body, make_model, prismatic
 from mbsgen.model.reader import read_model
-from mbsgen.model.tree import COORDINATE, RATE, DryFriction, Stops, Tree
+from mbsgen.model.tree import COORDINATE, RATE, BearingLoad, DryFriction, Stops, Tree
 from mbsgen.model.writer import write_model
 from mbsgen.pipeline import generate
-from mbsgen.request import Options
+from mbsgen.request import OptionError, Options
 from tests.mbsgen.model.files import find_faults
 
 TEXT = """name: rig
@@ -83,6 +83,100 @@ BAD: dict[str, tuple[str, str, str, str]] = {
 }
 
 
+LOADED = """name: rig
+gravity: [0, 0, -9.81]
+parameters: {s: {value: 0.5, kind: runtime}}
+bodies:
+  - name: wheel
+    joint: {type: revolute, axis: y, friction: {torque: 0, load: {coefficient: 0.2, static: 0.3, radius: 0.02}}}
+    mass: 1
+    inertia: [0.1, 0.1, 0.1]
+  - name: nut
+    joint:
+      type: prismatic
+      axis: y
+      limits: [null, 0.1]
+      friction: {torque: 1, static: 2, stribeck: 0.1, load: {coefficient: 0.2, length: 0.4}}
+    mass: 1
+"""
+
+BAD_LOADS: dict[str, tuple[str, str, str, str, str]] = {
+    "no radius": (", radius: 0.02", "", "bodies[0].joint.friction.load", "without its radius", "give radius"),
+    "a radius of 0": ("radius: 0.02", "radius: 0", "bodies[0].joint.friction.load.radius", "found 0", "more than 0 m"),
+    "a radius of a slide": (
+        "length: 0.4",
+        "radius: 0.4",
+        "bodies[1].joint.friction.load.radius",
+        "of a joint that slides",
+        "leave it out",
+    ),
+    "a length below 0": (
+        "length: 0.4",
+        "length: -1",
+        "bodies[1].joint.friction.load.length",
+        "found -1",
+        "more than 0",
+    ),
+    "a negative coefficient": (
+        "coefficient: 0.2, length",
+        "coefficient: -0.2, length",
+        "bodies[1].joint.friction.load.coefficient",
+        "found -0.2",
+        "give 0 or more",
+    ),
+    "static below sliding": (
+        "static: 0.3",
+        "static: 0.1",
+        "bodies[0].joint.friction.load.static",
+        "0.1 holds",
+        "give 0.2 or more",
+    ),
+    "at run time": ("static: 0.3", "static: s", "bodies[0].joint.friction.load.static", "s", "constant"),
+    "smoothed": (
+        "torque: 1, static: 2, stribeck: 0.1",
+        "torque: 1, speed: 1",
+        "bodies[1].joint.friction",
+        "dry too",
+        "load",
+    ),
+    "one way": (
+        "static: 2, stribeck: 0.1",
+        "one_way: 1",
+        "bodies[1].joint.friction.one_way",
+        "a one-way clutch with friction by its load",
+        "leave out",
+    ),
+    "with rigid stops": (
+        "limits: [null, 0.1]",
+        "limits: [null, 0.1]\n      stops: {restitution: 0}",
+        "bodies[0].joint.friction.load",
+        "in a model with rigid stops",
+        "or give a stiffness",
+    ),
+    "with driven joints": (
+        "bodies:",
+        "driven: [handle]\nbodies:\n  - {name: handle, joint: {type: prismatic, axis: x, actuated: false}, mass: 1}",
+        "bodies[1].joint.friction.load",
+        "in a model with driven joints",
+        "give a torque in place of load",
+    ),
+    "with a loop": (
+        "bodies:",
+        "loops: [{name: tie, type: ball, from: {body: wheel}, to: {body: nut}}]\nbodies:",
+        "bodies[0].joint.friction.load",
+        "in a model with loops",
+        "give a torque in place of load",
+    ),
+    "with a rigid contact": (
+        "bodies:",
+        "contacts:\n  - {name: rim, body: wheel, radius: 0.1, restitution: 0}\nbodies:",
+        "bodies[0].joint.friction.load",
+        "in a model with rigid contacts",
+        "or give a stiffness",
+    ),
+}
+
+
 def read_text(text: str, folder: Path) -> Tree:
     file = folder / "model.yaml"
     file.write_text(text, encoding="utf-8")
@@ -95,6 +189,51 @@ def test_a_fault_has_a_place_and_a_finding(name: str, tmp_path: Path) -> None:
     assert TEXT.count(old) == 1
     (fault,) = find_faults(TEXT.replace(old, new), tmp_path)
     assert (fault.path, piece in fault.finding) == (path, True), fault
+
+
+@pytest.mark.parametrize("name", BAD_LOADS)
+def test_a_fault_of_a_load_has_a_line_a_finding_and_a_remedy(name: str, tmp_path: Path) -> None:
+    old, new, path, piece, remedy = BAD_LOADS[name]
+    assert LOADED.count(old) == 1
+    (fault,) = find_faults(LOADED.replace(old, new), tmp_path)
+    assert (fault.path, piece in fault.finding, remedy in fault.remedy) == (path, True, True), fault
+    assert fault.line > 1
+
+
+def test_friction_by_loads_is_read_written_made_and_released_as_the_same(tmp_path: Path) -> None:
+    file, again = tmp_path / "model.yaml", tmp_path / "again.yaml"
+    file.write_text(LOADED, encoding="utf-8")
+    model = read_model(file)
+    again.write_text(write_model(model), encoding="utf-8")
+    assert read_model(again) == model
+    loads = [BearingLoad(0.2, 0.3, 0.02, None), BearingLoad(0.2, 0.2, 1.0, 0.4)]
+    dry = [DryFriction(0.0, 0.0, None, load=loads[0]), DryFriction(1.0, 2.0, 0.1, load=loads[1])]
+    for read in (model, with_runtime_numbers(model)):
+        assert [b.joint.dry for b in build_tree(read).bodies] == dry
+    joint = prismatic(
+        "y", friction={"torque": 1, "static": 2, "stribeck": 0.1, "load": {"coefficient": 0.2, "length": 0.4}}
+    )
+    made = build_tree(make_model("m", [body("b", joint, mass=1)], gravity=(0, 0, 0))).bodies[0].joint
+    assert made.dry == dry[1]
+    assert describe_joint(build_tree(model), 2).endswith("dry friction by its load")
+    with pytest.raises(ValueError, match="without a coefficient"):
+        prismatic("y", friction={"torque": 1, "load": {"length": 1}})
+    with pytest.raises(ValueError, match=r"found 0\.1; give"):
+        prismatic("y", friction={"torque": 1, "load": 0.1})
+
+
+def test_kernels_of_loads_have_reactions_another_hash_and_no_tolerance(tmp_path: Path) -> None:
+    hashes = []
+    for number in (0.02, 0.03):
+        file = tmp_path / f"{number}.yaml"
+        file.write_text(LOADED.replace("radius: 0.02", f"radius: {number}"), encoding="utf-8")
+        manifest = generate(file, tmp_path / str(number), Options(derivatives=0)).manifest
+        hashes.append(manifest.model_hash)
+        assert manifest.loaded == ("wheel", "nut")
+        assert manifest.find("reactions") is not None
+    assert hashes[0] != hashes[1]
+    with pytest.raises(OptionError, match="reactions are not estimated, on which friction depends in joint wheel"):
+        generate(file, tmp_path / "rough", Options(tolerance=1e-3))
 
 
 def test_all_faults_appear_together(tmp_path: Path) -> None:

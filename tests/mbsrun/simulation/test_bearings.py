@@ -92,7 +92,7 @@ def test_a_slider_under_an_oblique_force_locks_itself_at_the_angle_of_friction(m
     model, locking = make(BLOCK.format(offset=0, load="coefficient: 0.4, static: 0.5")), np.arctan(1 / 0.5)
     for angle in (locking - 1e-6, locking + 1e-6):
         force = size * np.array([np.cos(angle), 0, -np.sin(angle)])
-        motion = run(model, [0.0], [0.0], 1.0, force)
+        motion = run(model, [0.0], [0.0], 1.0, force.tolist())
         way = 0.0 if angle > locking else (force[0] + 0.4 * force[2]) / 3 / 2
         np.testing.assert_allclose(motion.q[-1], way, rtol=1e-12)
         assert motion.modes is not None
@@ -125,15 +125,12 @@ def swing_by_hand(angle: float) -> list[tuple[float, float]]:
             return float(y[1] * way) if t > begin + 1e-6 else 1.0
 
         rests.terminal, rests.direction = True, -1  # type: ignore[attr-defined]
-        path = solve_ivp(
-            lambda _, y, way=way: [y[1], accelerate(y[0], y[1], way)],
-            (time, time + 10),
-            [angle, 0.0],
-            "DOP853",
-            events=rests,
-            rtol=1e-13,
-            atol=1e-14,
-        )
+
+        def move(_: float, y: Array, way: float = way) -> list[float]:
+            return [y[1], accelerate(y[0], y[1], way)]
+
+        start, span = [angle, 0.0], (time, time + 10)
+        path = solve_ivp(move, span, start, "DOP853", events=rests, rtol=1e-13, atol=1e-14)
         time, angle = float(path.t_events[0][0]), float(path.y_events[0][0][0])
         found.append((time, angle))
     return found

@@ -10,7 +10,7 @@ sliding joints solve
 
     N_i = sum_k |c_k + D_k N|,    k: bearings of joint i.
 
-Let S_ij be the sum of |D_kj| over these bearings. Where the spectral radius of S is below 1, the right side contracts
+S_ij is the sum of |D_kj| over these bearings. Where the spectral radius of S is below 1, the right side contracts
 in a weighted norm, and there is one solution. Of one joint with S >= 1 there is none, or there are two: the right side
 less N is convex, not negative at N = 0, and does not fall far out. Of several joints nothing is known then. This is
 Painleve's paradox of bearings, and ends a motion.
@@ -67,7 +67,7 @@ class State:
 
 @dataclass(frozen=True, eq=False)
 class Pattern:
-    """The modes of joints, with what follows from these alone."""
+    """The modes of joints, and the numbers that follow from these alone."""
 
     ways: NDArray[np.int_]  # (n,): in which joints slide, else 0
     held: NDArray[np.intp]  # joints that stick,
@@ -237,7 +237,7 @@ class Bearings:
         grip: Array,
         released: Mapping[int, int],
     ) -> list[tuple[NDArray[np.int_], Rub]]:
-        """Try all combinations of sticking and sliding of joints at rest; list those that differ in the motion."""
+        """Try all combinations of sticking and sliding of joints at rest; list the ones that differ in the motion."""
         every = (int(Mode.STICKS), int(Mode.FORWARD), int(Mode.BACKWARD))
         options = [(released[i],) if i in released else every for i in still.tolist()]
         if np.prod([len(x) for x in options]) > TRIED:

@@ -30,7 +30,7 @@ LENGTHS = 100  # steps at least of a piece with varying inputs, where no joint m
 
 @dataclass(frozen=True)
 class Guard:
-    """A bound of a joint: its velocity the way it slides (SPEED), or the reserve of what holds it (FORCE)."""
+    """A bound of a joint: its velocity the way it slides (SPEED), or the reserve of friction that holds it (FORCE)."""
 
     joint: int
     kind: int

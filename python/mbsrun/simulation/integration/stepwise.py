@@ -60,7 +60,7 @@ class Stepwise(Course, Generic[M, G]):
         self.mode: M | None = None
         self.length = 0.0  # of the next step; 0: not known
         self.fired: tuple[G, ...] = ()  # guards at the last event,
-        self.guards: tuple[G, ...] = ()  # and those that fired since the last chunk
+        self.guards: tuple[G, ...] = ()  # and the ones that fired since the last chunk
 
     @abstractmethod
     def move(self, piece: Piece, mode: M, t: Array, x: Array) -> Array:

@@ -236,6 +236,9 @@ def test_dry_friction_needs_a_mode_and_stops_do_not_stick(tmp_path: Path) -> Non
             read_phased_problem(file, load_on_demand)
         (found,) = caught.value.faults
         assert text in found.finding
+    file = write(tmp_path, STUCK.replace("static: 6", "load: {coefficient: 0.1}"), SLIDING)
+    with pytest.raises(InputError, match="friction by the load of joint block has no modes; give a torque in place"):
+        read_phased_problem(file, load_on_demand)
     file = write(tmp_path, DOCK, DOCKING.replace("{b: upper}", "{b: stick}"))
     with pytest.raises(InputError, match="joint b has no dry friction, so it has no mode stick"):
         read_phased_problem(file, load_on_demand)
