@@ -195,7 +195,12 @@ class Plans:
             plan = self._refine(trials, write, self._search(trials, write, start), flags=())
             if self._reductions.trials == 1:
                 return plan
-            return flip_each(trials.segments, lambda plan: trials.cost(write(trials, plan)), plan, "by_moments")
+
+            def cost(plan: Plan) -> int:
+                return trials.cost(write(trials, plan))
+
+            plan = flip_each(trials.segments, cost, plan, "by_columns", by_group=True)
+            return flip_each(trials.segments, cost, plan, "by_moments")
 
     def _search(
         self,

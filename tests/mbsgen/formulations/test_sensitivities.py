@@ -58,9 +58,10 @@ def walk(plan: Plan, rng: np.random.Generator) -> Plan:
     own_frame, scaled, by_spin, by_rates = (bool(x) for x in rng.integers(2, size=4))
     choice = Choice(own_frame, mass, scaled, spin_from, by_spin=by_spin, by_rates=by_rates)
     plan = plan.put(int(rng.integers(1, n + 1)), choice)
-    meetings, flags = (list(Meeting)[k] for k in rng.integers(3, size=n)), map(bool, rng.integers(2, size=n))
-    kept = zip(plan.choices, meetings, flags, strict=True)
-    return replace(plan, choices=tuple(replace(c, meeting=m, by_moments=by_moments) for c, m, by_moments in kept))
+    meetings = (list(Meeting)[k] for k in rng.integers(3, size=n))
+    kept = zip(plan.choices, meetings, *(map(bool, rng.integers(2, size=n)) for _ in range(2)), strict=True)
+    choices = (replace(c, meeting=m, by_moments=moments, by_columns=columns) for c, m, moments, columns in kept)
+    return replace(plan, choices=tuple(choices))
 
 
 def write_textbook(tree: Tree) -> Tape:
@@ -158,3 +159,5 @@ def test_loads_that_meet_the_joints_before_save_operations(seed: int) -> None:
         assert cost(plan) <= cost(plan.carried_down)
         assert cost(meet(trials.segments, cost, plan)) <= cost(plan)
         assert cost(flip_each(trials.segments, cost, plan, "by_moments")) <= cost(plan)
+        apart = tuple(replace(choice, by_columns=False) for choice in plan.choices)
+        assert cost(plan) <= cost(replace(plan, choices=apart))

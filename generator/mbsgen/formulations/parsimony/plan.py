@@ -57,6 +57,7 @@ class Choice:
     by_spin: bool = False  # U from the angular acceleration of the body before, not from its field along the axis
     by_rates: bool = False  # second moments across the axis by rates, not by U
     passes_spin: bool = False  # the momentum of the spin inertia turns with the body before
+    by_columns: bool = False  # in sensitivities, entries of the joint that continues its group are added, not loads
     by_moments: bool = False  # in sensitivities, its moments turn with its joint, not the field of accelerations
 
     def flip(self, flag: str) -> Choice:

@@ -128,12 +128,26 @@ def meet(segments: Sequence[Segment], cost: Cost, plan: Plan) -> Plan:
     return plan
 
 
-def flip_each(segments: Sequence[Segment], cost: Cost, plan: Plan, flag: str) -> Plan:
-    """Choose a flag of each body, one by one from the leaves."""
+def flip_each(segments: Sequence[Segment], cost: Cost, plan: Plan, flag: str, *, by_group: bool = False) -> Plan:
+    """Choose a flag of each body, or of all bodies of each group but its last, one by one from the leaves."""
     fewest = cost(plan)
-    for segment in reversed(segments):
-        trial = plan.put(segment.number, plan[segment.number].flip(flag))
+    for bodies in _list_groups(segments) if by_group else ([s] for s in reversed(segments)):
+        trial = plan
+        for segment in bodies:
+            trial = trial.put(segment.number, trial[segment.number].flip(flag))
         found = cost(trial)
         if found is not None and (fewest is None or found < fewest):
             plan, fewest = trial, found
     return plan
+
+
+def _list_groups(segments: Sequence[Segment]) -> list[list[Segment]]:
+    """List the bodies of each group that others continue, last group first."""
+    groups: dict[int, list[Segment]] = {}
+    first: dict[int, int] = {}
+    for segment in segments:
+        i, is_continued = segment.number, any(not c.opens_group for c in children(segments, segment.number))
+        first[i] = i if segment.opens_group else first[segment.parent]
+        if is_continued:
+            groups.setdefault(first[i], []).append(segment)
+    return [groups[i] for i in sorted(groups, reverse=True)]

@@ -7,7 +7,8 @@ vector K, by the variations of j.
 
 Loads are carried down to the base, joint by joint. Where the plan says so, they are *met* by the variations of the
 joints before, which are carried up: to the body, or displacements to the body and others to the place before its joint.
-Between parallel axes of a group, an entry changes by the power of a displacement.
+Between parallel axes of a group, an entry changes by the power of a displacement. Where the plan says so, a column is
+the column of the joint that continues the group, and the entries of a displacement, whose loads alone are carried.
 
 After Echeandia, Wensing (2021) and Singh, Russell, Wensing (2022), in the frames and regrouped masses of this folder.
 Velocities are stored doubled, as they are used only so.
@@ -115,6 +116,7 @@ class Recursion:
         self.composed: dict[int, Composed] = {}
         self.loads: dict[int, Load] = {}
         self.by: dict[int, Loads] = {}
+        self.columns: dict[int, Column] = {}
         still = Vector(self.builder.zero, self.builder.zero, self.builder.zero)
         self.others = {s.number: Motion(still, still) for s in self.kinematics.segments}  # other velocities: none
         self.found = Sensitivities({}, {}, {}, {}, {})
@@ -200,22 +202,40 @@ class Recursion:
 
         Where a child continues its group, it turns the bodies beyond as the child's joint does, and displaces them.
         """
-        k, i, body = self.kinematics, segment.number, self.composed[segment.number]
+        k, body = self.kinematics, self.composed[segment.number]
         parts = (x[c] for c in body.grouped for x in (self.loads, self.by, k.frames))
         own = self._load_alone(segment)
 
         def write() -> Loads:
-            return reduce(add, (self._load_grouped(segment, k.segments[c - 1]) for c in body.grouped), own)
+            return reduce(add, (self._load_grouped(k.segments[c - 1]) for c in body.grouped), own)
 
-        return self.builder.remember(("loads by",), (segment, own, body, self.movements[i], *parts), write)
+        return self.builder.remember(("loads by",), (segment, own, body, self.movements[segment.number], *parts), write)
 
-    def _load_grouped(self, segment: Segment, child: Segment) -> Loads:
+    def _load_grouped(self, child: Segment) -> Loads:
         """Form the loads on the bodies of a child that continues the group."""
-        k, d = self.kinematics, link(self.kinematics, child)
-        turned = self.by[child.number].turn(k, child).shift(d, self.doubled_departure(child, d))
-        change, F = self.displace(segment, self.axes[segment.number].e.cross(d)), self.loads[child.number].F
-        body = self.composed[segment.number].grouped[child.number]
-        return turned + Loads.displacing(body, change, k.depart(child, F))
+        d = link(self.kinematics, child)
+        turned = self.by[child.number].turn(self.kinematics, child).shift(d, self.doubled_departure(child, d))
+        return turned + self._load_displaced(child)
+
+    def _load_displaced(self, child: Segment) -> Loads:
+        """Form the loads on the bodies of a child that continues the group, for the displacement by its parent."""
+        k, parent = self.kinematics, self.kinematics.segments[child.parent - 1]
+        change = self.displace(parent, self.axes[parent.number].e.cross(link(k, child)))
+        body, F = self.composed[parent.number].grouped[child.number], self.loads[child.number].F
+        return Loads.displacing(body, change, k.depart(child, F))
+
+    def _load_apart(self, segment: Segment) -> Loads:
+        """Form the loads for a joint without the turns of bodies that continue its group."""
+        k, body = self.kinematics, self.composed[segment.number]
+        parts = (x[c] for c in body.grouped for x in (self.loads, k.frames))
+        own = self._load_alone(segment)
+
+        def write() -> Loads:
+            return reduce(add, (self._load_displaced(k.segments[c - 1]) for c in body.grouped), own)
+
+        return self.builder.remember(
+            ("loads apart",), (segment, own, body, self.movements[segment.number], *parts), write
+        )
 
     def _load_alone(self, segment: Segment) -> Loads:
         """Form the loads on a body and all beyond it that does not continue its group."""
@@ -249,25 +269,33 @@ class Recursion:
 
     def differentiate(self, segment: Segment) -> None:
         """Write the column of a joint in the rows of its ancestors, and its row in their columns."""
-        path = list_path(self.kinematics, segment)
-        parts = (group[i] for i in path for group in (self.axes, self.movements, self.kinematics.frames))
-        found = self.builder.remember(
-            ("differentiate", *(self.qd[i - 1].ref for i in path), *(self.kinematics.plan[i].meeting for i in path)),
-            (segment, self.by[segment.number], *parts),
-            lambda: self._differentiate(segment),
+        i, path = segment.number, list_path(self.kinematics, segment)
+        by, found = self.select(segment), self.found
+        parts = (group[j] for j in path for group in (self.axes, self.movements, self.kinematics.frames))
+        own = self.builder.remember(
+            ("differentiate", *(self.qd[j - 1].ref for j in path), *(self.kinematics.plan[j].meeting for j in path)),
+            (segment, by, *parts),
+            lambda: self._differentiate(segment, by),
         )
-        self.found.weight.update(found.weight)
-        for entries, more in ((self.found.q, found.q), (self.found.qd, found.qd), (self.found.qdd, found.qdd)):
-            entries |= more
+        column = self.columns[i] = reduce(add, (self.columns[c].of_parent for c in self.continue_apart(segment)), own)
+        column.write(segment, (found.q, found.qd, found.qdd), (found.q, found.qd))
+        found.weight[i] = segment.signed(column.weight)
+        for j in path:
+            found.qdd[i, j] = found.qdd[j, i]
 
-    def _differentiate(self, segment: Segment) -> Sensitivities:
-        found = Sensitivities({}, {}, {}, {}, {})
-        for met in self.descend(segment, self.by[segment.number]):
-            _write_entries(found, segment, met)
-        *_, (at, by) = self._lower(segment, self.by[segment.number])
+    def continue_apart(self, segment: Segment) -> Sequence[int]:
+        """List the bodies that continue a joint's group, where its column starts from theirs."""
+        return [*self.composed[segment.number].grouped] if self.kinematics.plan[segment.number].by_columns else []
+
+    def select(self, segment: Segment) -> Loads:
+        """Return the loads that the joints before meet."""
+        return self._load_apart(segment) if self.continue_apart(segment) else self.by[segment.number]
+
+    def _differentiate(self, segment: Segment, by: Loads) -> Column:
+        felt = tuple(Felt.of(met, segment) for met in self.descend(segment, by))
+        *_, (at, carried) = self._lower(segment, by)
         gravity = self.kinematics.arrive_from_base(at, self.movements[0].a0)
-        found.weight[segment.number] = segment.signed(gravity.dot(by.qdd.F))
-        return found
+        return Column(felt, gravity.dot(carried.qdd.F))
 
     def _lower(self, segment: Segment, carried: L) -> Iterator[tuple[Segment, L]]:
         """Carry quantities from body to body towards the base, as far as they pass; yield them at each body."""
@@ -316,10 +344,9 @@ class Recursion:
         return Variation.of(self.axes[joint.number], joint, self.others[joint.number])
 
     def displace(self, joint: Segment, change: Vector[Scalar]) -> Displacement:
-        """Form the displacement of the bodies beyond a joint by a vector that turns with its body."""
-        return Displacement(
-            self.movements[joint.number].field(change), self.doubled_velocity(joint).cross(change), change
-        )
+        """Form the displacement of the bodies beyond a joint by a vector across its axis that turns with its body."""
+        movement, om = self.movements[joint.number], self.doubled_velocity(joint)
+        return Displacement(movement.field(change), om.cross(change), change, om[joint.axis])
 
     def _vary_before(self, joint: Segment, child: Segment) -> Variation:
         """Form the variation of a joint, or its difference from the one of a child that continues its group."""
@@ -329,17 +356,53 @@ class Recursion:
         return Variation.displace(change, self.others[joint.number])
 
 
-def _write_entries(found: Sensitivities, segment: Segment, met: Encounter[Loads]) -> None:
-    """Write the entries of a joint and one before it: by the column of the first, and by its row."""
-    joint, by, variation = met.joint, met.carried, met.variation
-    for entries, load in ((found.q, by.q), (found.qd, by.qd), (found.qdd, by.qdd)):
-        add_entry(entries, met, segment, variation.qdd.work(load))
-    found.qdd[segment.number, joint.number] = found.qdd[joint.number, segment.number]
-    if joint is not segment:
+@dataclass(frozen=True)
+class Felt:
+    """The entries of a joint and one before it, along the positive axes: for parallel axes, their differences from the
+    entries of the axis after it.
+    """
+
+    met: Encounter[Loads]
+    column: tuple[Scalar, ...]  # of the joint, in each block; of sensitivities, by q, qd and qdd
+    row: tuple[Scalar, ...]  # likewise, by q and qd of the joint before; none for the joint itself
+
+    @staticmethod
+    def of(met: Encounter[Loads], segment: Segment) -> Felt:
+        """Form the entries of a joint where its loads meet the variation of one before."""
+        by, variation = met.carried, met.variation
+        column = tuple(variation.qdd.work(load) for load in (by.q, by.qd, by.qdd))
+        if met.joint is segment:
+            return Felt(met, column, ())
         q = variation.q.work(by.qdd) + variation.rate.dot(by.K)
-        qd = variation.qd.work(by.qdd) + variation.e.dot(by.K)
-        add_entry(found.q, met, segment, q, by_column=True)
-        add_entry(found.qd, met, segment, qd, by_column=True)
+        return Felt(met, column, (q, variation.qd.work(by.qdd) + variation.e.dot(by.K)))
+
+    def __add__(self, other: Felt) -> Felt:
+        return Felt(self.met, tuple(map(add, self.column, other.column)), tuple(map(add, self.row, other.row)))
+
+
+@dataclass(frozen=True)
+class Column:
+    """The entries of a joint: with itself, and with the joints before it, one by one; and its force at rest."""
+
+    felt: tuple[Felt, ...]
+    weight: Scalar
+
+    def __add__(self, other: Column) -> Column:
+        return Column(tuple(map(add, self.felt, other.felt)), self.weight + other.weight)
+
+    @property
+    def of_parent(self) -> Column:
+        """The same column as the parent feels it, where the joint continues its group: from the parent on."""
+        own, first, *others = self.felt
+        return Column((Felt(first.met, tuple(map(add, own.column, first.column)), ()), *others), self.weight)
+
+    def write(self, segment: Segment, columns: Sequence[Entries], rows: Sequence[Entries]) -> None:
+        """Write the entries: the joint's column of some blocks, and its row of others."""
+        for felt in self.felt:
+            for entries, value in zip(columns, felt.column, strict=True):
+                add_entry(entries, felt.met, segment, value)
+            for entries, value in zip(rows, felt.row, strict=False):
+                add_entry(entries, felt.met, segment, value, by_column=True)
 
 
 def add_entry(entries: Entries, met: Encounter[L], segment: Segment, value: Scalar, *, by_column: bool = False) -> None:

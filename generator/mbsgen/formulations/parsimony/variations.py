@@ -24,7 +24,7 @@ from dataclasses import dataclass, replace
 
 from mbsgen.algebra.vectors import Vector
 from mbsgen.formulations.parsimony.mass_matrix import Motion
-from mbsgen.formulations.parsimony.motion import Kinematics
+from mbsgen.formulations.parsimony.motion import Kinematics, by_axis
 from mbsgen.formulations.parsimony.segments import Segment
 from mbsgen.tape.builder import Scalar
 
@@ -47,6 +47,7 @@ class Displacement:
     q: Vector[Scalar]
     qd: Vector[Scalar]
     qdd: Vector[Scalar]  # the displacement itself
+    spin: Scalar | None = None  # across the axis of a group: twice the angular velocity w along it
 
 
 @dataclass(frozen=True)
@@ -61,6 +62,7 @@ class Variation:
     qdd: Motion
     rate: Vector[Scalar]  # e'
     twist: Motion  # of other velocities
+    spin: Scalar | None = None  # of a displacement across the axis of the group that it is in: 2 w
 
     @staticmethod
     def of(axis: Axis, segment: Segment, other: Motion) -> Variation:
@@ -76,7 +78,7 @@ class Variation:
         """Form the variation of a displacement, which turns nothing; it turns with other velocities."""
         still = by.q.map(lambda x: x.builder.zero)
         q, qd, qdd = (Motion(x, still) for x in (by.q, by.qd, by.qdd))
-        return Variation(q, qd, qdd, still, Motion(other.OMp.cross(by.qdd), still))
+        return Variation(q, qd, qdd, still, Motion(other.OMp.cross(by.qdd), still), by.spin)
 
     @property
     def e(self) -> Vector[Scalar]:
@@ -96,5 +98,13 @@ class Variation:
 
     def arrive(self, kinematics: Kinematics, segment: Segment) -> Variation:
         """Take a variation from where the parent is written to where `segment` is."""
-        q, qd, qdd, twist = (x.arrive(kinematics, segment) for x in (self.q, self.qd, self.qdd, self.twist))
-        return Variation(q, qd, qdd, kinematics.arrive(segment, self.rate), twist)
+        q, qdd, twist = (x.arrive(kinematics, segment) for x in (self.q, self.qdd, self.twist))
+        rate = kinematics.arrive(segment, self.rate)
+        if self.spin is None or segment.opens_group:
+            return Variation(q, self.qd.arrive(kinematics, segment), qdd, rate, twist)
+        return Variation(q, self._turn_rate(segment, qdd.a, self.spin), qdd, rate, twist, self.spin)
+
+    def _turn_rate(self, segment: Segment, change: Vector[Scalar], spin: Scalar) -> Motion:
+        """Form 2 om x (e x d) of the turned displacement: its component along the axis stays."""
+        (j, k), along = segment.across, self.qd.a[segment.axis]
+        return Motion(by_axis(segment, along, -(spin * change[k]), spin * change[j]), self.qd.OMp)
