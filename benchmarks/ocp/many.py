@@ -10,10 +10,10 @@ from __future__ import annotations
 import argparse
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -28,6 +28,7 @@ PART = 8  # problems that IPOPT solves, at most
 AGREED = 1e-6  # relative difference of costs within which two optima are one
 
 Values = Mapping[str, Sequence[Any]]
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -46,7 +47,7 @@ class Family:
 
 @dataclass(frozen=True)
 class Measured:
-    """Times of a problem [ms] by each way, and how they ended."""
+    """Processor times of a problem [ms] by each way, and how they ended."""
 
     family: str
     count: int
@@ -55,7 +56,7 @@ class Measured:
     iterations: float  # mean
     alone: float
     cases: float
-    threads: float  # as cases in two threads, of the clock
+    threads: float  # as cases in two threads, by the clock
     solver: float  # of these, in the solver in C
     ipopt: float
     agree: str  # of IPOPT's optima, how many are the same
@@ -127,16 +128,10 @@ def measure(family: Family) -> Measured:
     named = problem.family
     copies = [named.restate(change(named.name, named.data, dict(zip(keys, row, strict=True)))) for row in rows]
     copies[0].solve(check=False)  # fills all caches
-    begin, cpu_begin = time.perf_counter(), time.process_time()
-    alone = [copy.solve(check=False) for copy in copies]
-    middle, cpu_middle = time.perf_counter(), time.process_time()
-    found = problem.solve_many(over, check=False)
-    after = time.perf_counter()
-    problem.solve_many(over, check=False, threads=2)
-    end = time.perf_counter()
-    cpu_end = time.process_time()
-    beside = problem.solve_many(over, check=False, neighbours=True)
-    last, cpu_last = time.perf_counter(), time.process_time()
+    alone, one_by_one, _ = _time(lambda: [copy.solve(check=False) for copy in copies])
+    beside, from_others, _ = _time(lambda: problem.solve_many(over, check=False, neighbours=True))
+    found, as_cases, _ = _time(lambda: problem.solve_many(over, check=False))
+    _, _, in_threads = _time(lambda: problem.solve_many(over, check=False, threads=2))
     changes = (beside.cost - found.cost) / np.abs(found.cost)
     minima = [np.abs(changes) <= AGREED, changes < -AGREED, changes > AGREED]
     assert [one.is_solved for one in alone] == found.is_solved.tolist(), "no result depends on the others"
@@ -148,26 +143,33 @@ def measure(family: Family) -> Measured:
     same = np.abs(costs - others) <= AGREED * np.abs(others)
     solved = [one for one in found if one.is_solved]
     runs = [one.solution.run for one in solved]
-    of_ipopt = [one.solution.run.seconds for one in by_ipopt if one.is_solved]
+    of_ipopt = [one.solution.run.cpu_seconds for one in by_ipopt if one.is_solved]
     return Measured(
         family.name,
         family.count,
         len(solved),
         solved[0].solution.size.variables,
         float(np.mean([run.iterations for run in runs])),
-        1e3 * (middle - begin) / family.count,
-        1e3 * (after - middle) / family.count,
-        1e3 * (end - after) / family.count,
-        1e3 * float(np.mean([run.seconds for run in runs])),
+        1e3 * one_by_one / family.count,
+        1e3 * as_cases / family.count,
+        1e3 * in_threads / family.count,
+        1e3 * float(np.mean([run.cpu_seconds for run in runs])),
         1e3 * float(np.mean(of_ipopt)),
         f"{int(same.sum())} of {len(others)}",
-        1e3 * (last - end) / family.count,
-        (cpu_middle - cpu_begin) / (cpu_last - cpu_end),
+        1e3 * from_others / family.count,
+        one_by_one / from_others,
         " / ".join(str(int(part.sum())) for part in minima),
     )
 
 
-def write(rows: Sequence[Measured], machine: str) -> str:
+def _time(work: Callable[[], T]) -> tuple[T, float, float]:
+    """Return what work returns, its processor time, and its time by the clock [s]."""
+    begin, cpu_begin = time.perf_counter(), time.process_time()
+    found = work()
+    return found, time.process_time() - cpu_begin, time.perf_counter() - begin
+
+
+def write(rows: Sequence[Measured], machine: str, remark: str) -> str:
     """Write the page."""
     first = ["problems", "", "solved", "variables", "iterations"]
     times = ["one by one", "cases", "two threads", "solver", "neighbours", "times", "minima"]
@@ -175,12 +177,13 @@ def write(rows: Sequence[Measured], machine: str) -> str:
     lines = [
         "# Many problems of one kind",
         "",
-        f"`python -m benchmarks.ocp.many` wrote this page: {machine}. Times are in ms a problem, by the clock, without",
-        "a re-simulation: one by one, as cases (`solve_many`) in one thread and in two, of these in the solver, and as",
-        "cases from neighbours. `times` is the processor time one by one over the one from neighbours, and `minima`",
-        "counts costs that are the same, lower and higher from there.",
+        f"`python -m benchmarks.ocp.many` wrote this page: {machine}.",
+        "Times are processor times in ms a problem, without a re-simulation: one by one, as cases (`solve_many`), of",
+        "these in the solver, and as cases from neighbours; with two threads, by the clock. `times` is the time one by",
+        "one over the time from neighbours, and `minima` counts costs that are the same, lower and higher from there.",
         "IPOPT has the same kernels and the project's linear solver, and solves some of the problems: its time is the",
         "solver's, and its optima are compared.",
+        *([remark] if remark else []),
         "",
         f"| {' | '.join(columns)} |",
         "|---" + "|---:" * (len(columns) - 1) + "|",
@@ -192,8 +195,8 @@ def write(rows: Sequence[Measured], machine: str) -> str:
         lines.append(f"| {row.family} | {counts} | {shown} | {row.ipopt / row.solver:.3g} | {row.agree} |")
     lines += [
         "",
-        "Without neighbours, each case is solved anew, so cases take as long as single solves. The solver computes",
-        "with vectors within a problem, over stages and columns, and not over problems.",
+        "Without neighbours, each case is solved anew, so cases take as long as single solves, and their statements.",
+        "The solver computes with vectors within a problem, over stages and columns, and not over problems.",
     ]
     return "\n".join(lines) + "\n"
 
@@ -203,11 +206,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="four problems of each kind")
     parser.add_argument("-o", type=Path, dest="out", help="the page to write; by default it is printed")
+    parser.add_argument("--remark", default="", help="a sentence on the machine, such as its load")
     given = parser.parse_args()
     counts = (4,) * 4 if given.quick else (256, 256, 64, 231)
     kinds = (swing_ups, flights, reaches, targets)
     rows = [measure(make(count)) for make, count in zip(kinds, counts, strict=True)]
-    page = write(rows, describe_machine())
+    page = write(rows, describe_machine(), given.remark)
     if given.out is None:
         print(page, end="")
     else:

@@ -10,6 +10,7 @@ alone, not on their order.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 
@@ -40,7 +41,7 @@ class Source:
     @property
     def distance(self) -> float:
         """Return how far apart the two are."""
-        return float(np.linalg.norm(self.offset))
+        return math.hypot(*self.offset)
 
 
 @dataclass(frozen=True)

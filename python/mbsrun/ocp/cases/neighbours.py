@@ -9,14 +9,13 @@ the list nor the number of threads or processes changes a result.
 
 from __future__ import annotations
 
+import math
 import threading
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, replace
 from typing import TypeVar
-
-import numpy as np
 
 from mbsrun.ocp.cases.cases import Case, CaseSolver, Outcome
 from mbsrun.ocp.cases.layers import Start, weigh
@@ -71,8 +70,9 @@ def gather(start: Start, origins: Mapping[int, Origin]) -> Origin | None:
     if start.parent is None:
         return None
     own = origins[start.parent]
-    expected = float(np.mean([origins[source.case].expect(start.distance) for source in start.sources]))
-    own = replace(own, expected=expected)
+    distance = start.distance
+    shares = [origins[source.case].expect(distance) for source in start.sources]
+    own = replace(own, expected=math.fsum(shares) / len(shares))
     if own.neighbour is None or not own.is_worth_a_try:
         return own
     parts = [(source, origins[source.case].neighbour) for source in start.sources]
