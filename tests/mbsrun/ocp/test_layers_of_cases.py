@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from mbsrun.ocp.cases.layers import Place, Source, Start, find_starts, keep_paths, weigh
-from mbsrun.ocp.cases.neighbours import FEWEST, HOPED, Origin, Waiting, follow
+from mbsrun.ocp.cases.neighbours import FEWEST, HOPED, Origin, Waiting, follow, gather
 from mbsrun.ocp.evaluation.stages.binding import Point
 from mbsrun.ocp.methods import Near, mix
+from mbsrun.ocp.solution.phases import Guess
 from mbsrun.ocp.solving.phases import Neighbour
 
 
@@ -93,6 +94,28 @@ def test_a_mixture_keeps_multipliers_of_bounds() -> None:
 
     mixed = mix([end(1.0), end(4.0)], np.array([2.0, -1.0])).point
     assert [part.tolist() for part in mixed.parts] == [[-2.0, -4.0], [0.0, 0.0], [0.0, 0.0], [-2.0, -4.0]]
+
+
+def test_sources_without_a_solution_or_with_other_variables_are_left_out() -> None:
+    """The others are mixed to first order; nothing is mixed where no try is worth its time."""
+
+    def origin(layout: bytes | None, x: float, share: float = 0.5) -> Origin:
+        near = Near(layout or b"", Point(*(np.array([x]) for _ in range(4))))
+        guess = cast("Guess", object())
+        own = None if layout is None else Neighbour(guess, np.array([x]), near, None, 1.0)
+        return Origin(own, 10, share, 1.0)
+
+    start = Start(4, tuple(Source(k, (offset,)) for k, offset in enumerate((-1.0, 1.5, 2.0, 4.0))))
+    origins = {0: origin(b"a", 1.0), 1: origin(None, 9.0), 2: origin(b"b", 9.0), 3: origin(b"a", 6.0)}
+    found = gather(start, origins)
+    assert found is not None
+    assert found.neighbour is not None
+    assert found.neighbour.near.point.w == pytest.approx([2.0], abs=1e-5)
+    assert found.expected == 0.5
+    dear = gather(start, {k: origin(b"a", 1.0, 2.0) for k in range(4)})
+    assert dear is not None
+    assert not dear.is_worth_a_try
+    assert gather(Start(0), {}) is None
 
 
 def test_paths_lead_to_the_cases_that_are_wanted() -> None:
