@@ -10,12 +10,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mbsgen.expressions import Algebra, evaluate
+from mbsgen.expressions import Algebra, Program, evaluate
 from mbsgen.manifest import Argument
 from mbsgen.roles import Order, name_adjoint, name_derivative, name_kernel
 from mbsrun.jets import Dependence, Jet, compose, compose_dependences, depend, make_dependences, make_jets, vary
@@ -34,7 +33,6 @@ from mbsrun.ocp.ground.functions import (
 from mbsrun.ocp.ground.plant import Plant
 
 Mask = NDArray[np.bool_]
-T = TypeVar("T")
 
 
 def bind(plant: Plant) -> Callable[[Function, int], Evaluation]:
@@ -162,6 +160,14 @@ class KernelEvaluation:
         return {a.name: a for a in self._plant.describe(name_kernel(self._result.kernel, order)).outputs}
 
 
+class _Steps:
+    """The expressions of a formula, ready to be evaluated with their derivatives by n variables, or by none."""
+
+    def __init__(self, formula: Formula, n: int) -> None:
+        self.n, self.algebra = n, make_jets(n)
+        self.program = Program(formula.expressions, self.algebra)
+
+
 class FormulaEvaluation:
     """Expressions of inputs, parameters, data, and results of kernels."""
 
@@ -201,17 +207,17 @@ class FormulaEvaluation:
 
     def value(self, arguments: Sequence[Array]) -> Array:
         """Return the results, (places, size)."""
-        return np.stack([jet.f for jet in self._jets(arguments)], axis=1)
+        return np.stack([jet.f for jet in self._jets(arguments, self._plain)], axis=1)
 
     def jacobian(self, arguments: Sequence[Array]) -> Sequence[Array]:
         """Return the nonzeros of the derivatives by each input, (places, nonzeros)."""
-        J = np.stack([jet.g for jet in self._jets(arguments)], axis=1) @ self._slopes(arguments)
+        J = np.stack([jet.g for jet in self._jets(arguments, self._bent)], axis=1) @ self._slopes(arguments)
         blocks = zip(self._columns(), self.jacobian_patterns, strict=True)
         return [J[:, :, columns][:, pattern.row, pattern.col] for columns, pattern in blocks]
 
     def hessian(self, arguments: Sequence[Array], weights: Array) -> Sequence[Array]:
         """Return the nonzeros of the second derivatives of weights' results, (places, nonzeros) for each pair."""
-        jets, slopes = self._jets(arguments), self._slopes(arguments)
+        jets, slopes = self._jets(arguments, self._bent), self._slopes(arguments)
         whole = sum((w[:, None, None] * jet.H for w, jet in zip(weights.T, jets, strict=True)), start=np.zeros(()))
         H = slopes.swapaxes(1, 2) @ whole @ slopes
         g = sum((w[:, None] * jet.g for w, jet in zip(weights.T, jets, strict=True)), start=np.zeros(()))
@@ -224,16 +230,25 @@ class FormulaEvaluation:
 
     # --- expressions ---
 
-    def _jets(self, arguments: Sequence[Array]) -> list[Jet]:
+    @cached_property
+    def _bent(self) -> _Steps:
+        """The expressions with their derivatives by all variables."""
+        return _Steps(self._formula, self._n)
+
+    @cached_property
+    def _plain(self) -> _Steps:
+        """The expressions without derivatives."""
+        return _Steps(self._formula, 0)
+
+    def _jets(self, arguments: Sequence[Array], steps: _Steps) -> list[Jet]:
         values = self._values(arguments)
         numbers = {name: values[kind][:, i] for name, (kind, i) in self._formula.names.items()}
-        algebra = make_jets(self._n)
-        given = {name: self._vary(kind, i, numbers[name]) for name, (kind, i) in self._formula.names.items()}
+        n, P = steps.n, self._places
+        given = {name: self._vary(kind, i, numbers[name], n) for name, (kind, i) in self._formula.names.items()}
         with np.errstate(all="ignore"):
             for call in self._formula.calls:
-                given[call.name] = self._apply(call, given, algebra)
-            jets = self._evaluate(given, algebra)
-        P, n = self._places, self._n
+                given[call.name] = self._apply(call, given, steps.algebra)
+            jets = steps.program.evaluate(given)
         return [
             Jet(np.broadcast_to(jet.f, P), np.broadcast_to(jet.g, (P, n)), np.broadcast_to(jet.H, (P, n, n)))
             for jet in jets
@@ -254,7 +269,7 @@ class FormulaEvaluation:
             known = symbolic.differentiate(call.code)
             arguments = [evaluate(argument, given, algebra) for argument in call.arguments]
             given[call.name] = compose_dependences(known.gradient, known.hessian, arguments)
-        return self._evaluate(given, algebra)
+        return [evaluate(expression, given, algebra) for expression in self._formula.expressions]
 
     def _apply(self, call: SymbolicCall, given: Mapping[str, Jet], algebra: Algebra[Jet]) -> Jet:
         """Apply a function of CasADi to jets."""
@@ -264,12 +279,8 @@ class FormulaEvaluation:
         values = np.stack([np.broadcast_to(jet.f, self._places) for jet in arguments], axis=1)
         return compose(*symbolic.differentiate(call.code).evaluate(values), arguments)
 
-    def _evaluate(self, given: Mapping[str, T], algebra: Algebra[T]) -> list[T]:
-        return [evaluate(expression, given, algebra) for expression in self._formula.expressions]
-
-    def _vary(self, kind: str, i: int, values: Array) -> Jet:
-        n = self._n
-        if kind in self._first:
+    def _vary(self, kind: str, i: int, values: Array, n: int) -> Jet:
+        if n and kind in self._first:
             return vary(values, self._first[kind] + i, n)
         return Jet(values, np.zeros(n), np.zeros((n, n)))
 
