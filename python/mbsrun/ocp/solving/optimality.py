@@ -137,12 +137,13 @@ def linearise(
 ) -> Point:
     """Make a point of a program of its values and first derivatives, in variables over their usual sizes."""
     s = np.broadcast_to(scales, x.shape)
+    is_scaled = bool((s != 1).any())
     x, c, bounds = x / s, c * s, (bounds[0] / s, bounds[1] / s)
-    J = Matrix(J @ sparse.diags_array(s)) if (s != 1).any() else J
+    row, column = J.indices, np.repeat(np.arange(x.size), np.diff(J.indptr))
+    J = sparse.csc_array((J.data * s[column], row, J.indptr), shape=J.shape) if is_scaled else J
     size, fixed, equal = np.maximum(1.0, np.abs(x)), bounds[0] == bounds[1], ranges[0] == ranges[1]
     below, above = (np.where(fixed, 0.0, distance) for distance in (x - bounds[0], bounds[1] - x))
     row_below, row_above = (np.where(equal, 0.0, distance) for distance in (g - ranges[0], ranges[1] - g))
-    row, column = J.indices, np.repeat(np.arange(x.size), np.diff(J.indptr))
     reach = np.bincount(row, weights=np.abs(J.data) * size[column], minlength=g.size)
     only = np.flatnonzero((np.bincount(row, minlength=g.size) == 1)[row] & (J.data != 0))
     alone, at, value = row[only], column[only], J.data[only]
@@ -154,8 +155,10 @@ def linearise(
     is_kept[alone] = False
     kept = np.flatnonzero(is_kept)
     sides = _count_sides(below, above, size) + 2 * np.count_nonzero((row_below + row_above)[kept] > 0)
-    has_sizes = np.bincount(row, weights=(s != 1)[column], minlength=g.size) > 0
-    unit = np.where(has_sizes & (reach > 0), 0.0, 1.0)  # rows in unusual sizes have the one of their terms
+    unit = np.ones(g.size)
+    if is_scaled:  # rows in unusual sizes have the one of their terms
+        has_sizes = np.bincount(row, weights=(s != 1)[column], minlength=g.size) > 0
+        unit[has_sizes & (reach > 0)] = 0.0
     excess = (_measure_excess(g, ranges) / np.maximum(unit, reach), _measure_excess(x, bounds) / size)
     return Point(
         c,
