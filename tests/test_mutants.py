@@ -150,3 +150,14 @@ def test_tokens_of_comments_strings_and_imports_stay(tmp_path: Path) -> None:
         assert {(change.token, change.other) for change in found} == {("<", "<="), ("<", ">"), ("3", "0"), ("3", "30")}
         at = text.index("3")
         assert Change(at, at + 1, "3", "0", text.count("\n", 0, at) + 1) in found
+
+
+def test_a_size_that_is_left_to_numpy_becomes_no_other_negative_one(tmp_path: Path) -> None:
+    """It means the same; 0 and other numbers do not."""
+    file = tmp_path / "a.py"
+    file.write_text("x = a.reshape(len(a), -1)[-1].reshape(-1, f(-1), n - 1)\n", encoding="utf-8")
+    found = [(change.start, change.other) for change in list_changes(file) if change.token == "1"]
+    places = [k for k, letter in enumerate(file.read_text("utf-8")) if letter == "1"]
+    assert found == [
+        (place, other) for k, place in enumerate(places) for other in ("0", "10") if other == "0" or k not in (0, 2)
+    ]

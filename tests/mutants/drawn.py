@@ -1,7 +1,8 @@
 """Faults drawn by machine: operators, comparisons, constants and branches of a source file, changed one at a time.
 
 A seed decides which; `sights` says which tests execute the function of a change. Comments, strings, lines of imports,
-assertions of `zip` and examples of keys are left alone. A change that leaves the meaning as it is may survive: such
+assertions of `zip` and examples of keys are left alone, and so are sizes -1 of `reshape` that become other negative
+ones: NumPy takes any for the size that is left. A change that leaves the meaning as it is may survive: such
 faults, once judged, stand in `equivalent.toml`.
 """
 
@@ -43,6 +44,7 @@ SWAPS = {
     "True": ("False",),
     "False": ("True",),
 }
+_RESHAPED = re.compile(r"\breshape\((?:(?:[^()]|\([^()]*\))*, )?-$")  # before a 1
 _C_TOKEN = re.compile(
     r"""/\*.*?\*/ | //[^\n]* | "(?:\\.|[^"\\])*" | '(?:\\.|[^'\\])*' | ^[ \t]*\#[^\n]*(?:\\\n[^\n]*)* |
     (?P<number>(?<![\w.])(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?\b) | [A-Za-z_]\w* |
@@ -78,6 +80,7 @@ def list_changes(path: Path) -> list[Change]:
         Change(start, start + len(token), token, other, text.count("\n", 0, start) + 1)
         for start, token in tokens
         for other in _list_others(token)
+        if not (other == "10" and _RESHAPED.search(text, text.rfind("\n", 0, start) + 1, start))
     ]
 
 
