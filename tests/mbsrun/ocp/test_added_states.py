@@ -10,6 +10,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
+import mbsrun
 from mbsgen.errors import InputError
 from mbsrun import load
 from mbsrun.ocp.ground import schemes
@@ -181,6 +182,22 @@ def test_guesses_of_states(state: State, start: float, end: float) -> None:
     problem = replace(push(10), states=(state,))
     guess = complete(rest(problem, schemes.build(problem.family, problem.degree)), problem, mass())
     assert guess.states[[0, -1], 0] == pytest.approx([start, end], abs=1e-3)
+
+
+@pytest.mark.parametrize(("limits", "guess"), [((0.5, 2), 0.5), ((-3, -1), -1.0), ((None, 4), 0.0), ((-1, None), 0.0)])
+def test_controls_without_a_guess_are_as_near_to_0_as_they_may(
+    limits: tuple[float | None, float | None], guess: float
+) -> None:
+    stated = mbsrun.problem(
+        None,
+        name="slide",
+        horizon=1,
+        intervals=2,
+        states={"x": {"rate": "a", "start": 0}},
+        controls={"a": {"range": limits}},
+        cost={"running": [{"expression": "a**2", "weight": 1}]},
+    )
+    assert [control.guess for control in stated.value.controls] == [guess]
 
 
 def test_noise_of_states_grows_with_their_range() -> None:

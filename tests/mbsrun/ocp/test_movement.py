@@ -112,7 +112,15 @@ def test_columns_are_stacked() -> None:
 
 
 def opened(variables: Sequence[int], rows: Sequence[int], jacobian: Array) -> Any:
-    return SimpleNamespace(implied=Active(sides(*variables), sides(*rows)), jacobian=sparse.csc_array(jacobian))
+    implied, none = (
+        Active(sides(*variables), sides(*rows)),
+        Active(sides(*[0] * len(variables)), sides(*[0] * len(rows))),
+    )
+    return SimpleNamespace(implied=implied, weak=none, jacobian=sparse.csc_array(jacobian))
+
+
+def open_implied(optimum: Any, change: Numbers, rows: Array, dx: Array) -> Array:
+    return find_openings(optimum, optimum.implied, change, rows, dx)
 
 
 def test_implied_limits_open_by_their_own_motion_less_what_moves_them() -> None:
@@ -121,14 +129,14 @@ def test_implied_limits_open_by_their_own_motion_less_what_moves_them() -> None:
     change = numbers([1, 2, 3], [4, 5, 6], [7, 8, 9], [10, 11, 12])
     dx, rows = np.array([0.5, -1.0, 2.0]), np.array([0.25, 70.0, -0.5])
     expected = [4 - 0.5, -(2 + 1.0), -(7 - (0.5 + 4 + 0.25)), 12 - (-3 - 0.5)]
-    assert find_openings(optimum, change, rows, dx) == pytest.approx(np.array(expected) / 70)
+    assert open_implied(optimum, change, rows, dx) == pytest.approx(np.array(expected) / 70)
     none = numbers([0] * 3, [0] * 3, [0] * 3, [0] * 3)
-    assert find_openings(optimum, none, np.zeros(3), np.zeros(3)).tolist() == [0] * 4
+    assert open_implied(optimum, none, np.zeros(3), np.zeros(3)).tolist() == [0] * 4
     # lower rows at their least, upper ones at their most
-    assert find_openings(
+    assert open_implied(
         opened([0] * 3, [1, 0, -1], np.zeros((3, 3))), change, np.zeros(3), np.zeros(3)
     ) == pytest.approx([10 / 12, -9 / 12])
-    assert find_openings(
+    assert open_implied(
         opened([-1, 0, 1], [0] * 3, np.zeros((3, 3))), change, np.zeros(3), np.zeros(3)
     ) == pytest.approx([-1 / 12, 6 / 12])
 
@@ -183,7 +191,7 @@ def test_a_set_must_stay_for_the_span_of_a_number(
         _given=[None],
         spans=spans,
         _parts_copies=lambda *_: parts,
-        _opens_implied=lambda _: opens,
+        _opens_some=lambda _: opens,
         measure_reach=lambda _: 2.0,
         _bends=lambda _: bends,
     )
@@ -192,14 +200,14 @@ def test_a_set_must_stay_for_the_span_of_a_number(
 
 @pytest.mark.parametrize(("opening", "opens"), [(0.9e-8, False), (-1.1e-8, True), (1.1e-8, True)])
 def test_a_limit_opens_by_more_than_rounding(opening: float, opens: bool) -> None:
+    """One that others imply, or one without a force."""
     change = numbers([0.0], [0.0], [opening], [1.0])
-    movement = SimpleNamespace(
-        optimum=opened([0], [-1], np.zeros((1, 1))),
-        _given=[change],
-        _pushed=[(NONE, np.zeros(1))],
-        move=lambda _: np.zeros(1),
-    )
-    assert Movement._opens_implied(cast(Any, movement), 0) is opens
+    implied = opened([0], [-1], np.zeros((1, 1)))
+    for optimum in (implied, SimpleNamespace(**{**vars(implied), "implied": implied.weak, "weak": implied.implied})):
+        movement = SimpleNamespace(
+            optimum=optimum, _given=[change], _pushed=[(NONE, np.zeros(1))], move=lambda _: np.zeros(1)
+        )
+        assert Movement._opens_some(cast(Any, movement), 0) is opens
 
 
 @pytest.mark.parametrize(("side", "name"), [(-1, "lower"), (1, "upper")])

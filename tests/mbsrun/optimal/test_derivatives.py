@@ -346,6 +346,18 @@ def test_a_weakly_active_bound_has_no_derivative() -> None:
     assert "Active_Set_Changes" in repr(derivatives)
 
 
+def test_a_number_that_leaves_a_weak_limit_alone_has_derivatives() -> None:
+    """A bound of 0 on a control that nothing moves is met without a force; the motion has its derivatives."""
+    idle = slide(controls={"b": {"range": [0, None]}}, cost={"running": [{"expression": "a**2 + b**2", "weight": 1}]})
+    derivatives = idle.derivatives(solve(idle), ["states.x.end", "controls.b.range.lower"])
+    assert derivatives.status == CHANGING
+    assert derivatives.statuses == {"states.x.end": SMOOTH, "controls.b.range.lower": CHANGING}
+    free = slide().derivatives(solve(slide()), ["states.x.end"])
+    assert derivatives.cost["states.x.end"] == pytest.approx(free.cost["states.x.end"], rel=1e-8)
+    ends = [d.by("states.x.end").phases[0] for d in (derivatives, free)]
+    assert ends[0].states == pytest.approx(ends[1].states, abs=1e-8)
+
+
 def test_a_limit_that_the_end_implies_keeps_derivatives() -> None:
     """A speed of at least 0 that ends at 0, twice: the cost 12 x^2 / T^3 of the push, and its slope."""
     limits = [{"expression": f"{k}*v", "range": [0, None], "at": "end"} for k in (1, 2)]

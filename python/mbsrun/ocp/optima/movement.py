@@ -25,7 +25,7 @@ from mbsrun.ocp.evaluation.backends.prepared import Prepared
 from mbsrun.ocp.ground.functions import Array
 from mbsrun.ocp.ground.program import Matrix
 from mbsrun.ocp.optima.lifting import lift_constants
-from mbsrun.ocp.optima.point import Optimum, complete
+from mbsrun.ocp.optima.point import Active, Optimum, complete
 from mbsrun.ocp.optima.status import CHANGING, DEPENDENT, SMOOTH, SPLIT, STUCK
 
 SAME = 1e-9  # of derivatives that ought to be equal, over the largest
@@ -78,7 +78,7 @@ class Movement:
 
     def find_status(self, k: int) -> str:
         """Return whether the optimum has derivatives by number k."""
-        return self._statuses[k] if self.status == SMOOTH else self.status
+        return self._statuses[k] if self.status in (SMOOTH, CHANGING) else self.status
 
     def move(self, k: int) -> Array:
         """Return the derivative of the variables by number k. Call it where its status permits."""
@@ -238,7 +238,7 @@ class Movement:
 
     def _examine_set(self, k: int, same: float) -> str:
         """Find whether the active set stays for number k, and its multipliers do not matter."""
-        if self._parts_copies(self._given[k], same) or self._opens_implied(k):
+        if self._parts_copies(self._given[k], same) or self._opens_some(k):
             return CHANGING
         if self.spans and self.measure_reach(k) < self.spans[k]:
             return CHANGING
@@ -269,8 +269,10 @@ class Movement:
             lengths.append(_reach(np.abs(pull[0][held]), pull[1][held]))
         return min(lengths)
 
-    def _opens_implied(self, k: int) -> bool:
-        openings = find_openings(self.optimum, self._given[k], self._pushed[k][1], self.move(k))
+    def _opens_some(self, k: int) -> bool:
+        """Return whether number k moves limits that active ones imply, or that are weakly active."""
+        some = self.optimum.implied.together(self.optimum.weak)
+        openings = find_openings(self.optimum, some, self._given[k], self._pushed[k][1], self.move(k))
         return bool((np.abs(openings) > OPEN).any())
 
     def _bends(self, k: int) -> bool:
@@ -320,16 +322,15 @@ class _ByConstants:
     slope: Array
 
 
-def find_openings(optimum: Optimum, change: Numbers, rows: Array, dx: Array) -> Array:
-    """Return the rates at which limits open that active ones imply, over the largest change; below 0, they are passed.
+def find_openings(optimum: Optimum, some: Active, change: Numbers, rows: Array, dx: Array) -> Array:
+    """Return the rates at which some limits open, over the largest change; below 0, they are passed.
 
     `rows` are the rates of g at constant x.
     """
-    implied = optimum.implied
-    held, chosen = implied.held, implied.chosen
-    bounds = np.where(implied.variables[held] == 1, change.upper[held], change.lower[held])
-    limits = np.where(implied.rows[chosen] == 1, change.most[chosen], change.least[chosen])
-    sides = np.concatenate((implied.variables[held], implied.rows[chosen]))
+    held, chosen = some.held, some.chosen
+    bounds = np.where(some.variables[held] == 1, change.upper[held], change.lower[held])
+    limits = np.where(some.rows[chosen] == 1, change.most[chosen], change.least[chosen])
+    sides = np.concatenate((some.variables[held], some.rows[chosen]))
     rates = sides * np.concatenate((bounds - dx[held], limits - (optimum.jacobian @ dx + rows)[chosen]))
     parts = (dx, rows, change.lower, change.upper, change.least, change.most)
     largest = max(float(np.abs(part).max(initial=0.0)) for part in parts)

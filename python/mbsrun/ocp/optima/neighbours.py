@@ -131,7 +131,7 @@ class _Path:
         return self.factorise(new), new
 
     def _passes_implied(self, dx: Array) -> bool:
-        return bool((find_openings(self.optimum, self.change, self.rows, dx) < -OPEN).any())
+        return bool((find_openings(self.optimum, self.optimum.implied, self.change, self.rows, dx) < -OPEN).any())
 
     def _list_gradients(self, variables: Indices, rows: Indices) -> sparse.csr_array:
         units = sparse.csr_array(

@@ -140,12 +140,18 @@ class PartReading(Reading):
             self.fault(place, f"{value:g} is out of [{bounds[0]:g}, {bounds[1]:g}]", "guess within the range")
         return value
 
+    def chosen(self, place: Place, section: ControlSection | UnknownForceSection, bounds: Range) -> float:
+        """Read the guess of what the solver chooses: by default 0, or the number of its range that is nearest to 0."""
+        if "guess" in section.model_fields_set or bounds[0] > bounds[1]:
+            return self.guessed((*place, "guess"), section.guess, bounds)
+        return min(max(0.0, bounds[0]), bounds[1])
+
     def controls(self, given: Mapping[str, ControlSection]) -> tuple[Control, ...]:
         """Read the inputs that the problem adds."""
         found = []
         for name, section in given.items():
             bounds = self.range(("controls", name, "range"), section.range)
-            found.append(Control(name, bounds, self.guessed(("controls", name, "guess"), section.guess, bounds)))
+            found.append(Control(name, bounds, self.chosen(("controls", name), section, bounds)))
         return tuple(found)
 
     def given_forces(self, given: Mapping[str, str], inputs: Sequence[str]) -> tuple[Force, ...]:
@@ -206,7 +212,7 @@ class PartReading(Reading):
             self.check_formula(place, section)
             return WrenchComponent(wrench, component, section)
         bounds = self.range((*place, "range"), section.range)
-        return WrenchComponent(wrench, component, None, bounds, self.guessed((*place, "guess"), section.guess, bounds))
+        return WrenchComponent(wrench, component, None, bounds, self.chosen(place, section, bounds))
 
     def contacts(self, given: Sequence[ContactSection]) -> tuple[Contact, ...]:
         """Read the points that stand on the ground."""
