@@ -141,7 +141,7 @@ class PartReading(Reading):
         return value
 
     def chosen(self, place: Place, section: ControlSection | UnknownForceSection, bounds: Range) -> float:
-        """Read the guess of what the solver chooses: by default 0, or the number of its range that is nearest to 0."""
+        """Read the guess of a control or a force: by default 0, or the number of its range that is nearest to 0."""
         if "guess" in section.model_fields_set or bounds[0] > bounds[1]:
             return self.guessed((*place, "guess"), section.guess, bounds)
         return min(max(0.0, bounds[0]), bounds[1])
