@@ -2,18 +2,18 @@
 #ifndef MBS_PRIVATE_H
 #define MBS_PRIVATE_H
 
-#define mbs_check_jacobian MBS_OWN(double_pendulum_9aa93bdc, _mbs_check_jacobian)
-#define mbs_check_adjoint MBS_OWN(double_pendulum_9aa93bdc, _mbs_check_adjoint)
-#define mbs_check_equal MBS_OWN(double_pendulum_9aa93bdc, _mbs_check_equal)
-#define mbs_check_tail MBS_OWN(double_pendulum_9aa93bdc, _mbs_check_tail)
-#define mbs_check_mass_matrix MBS_OWN(double_pendulum_9aa93bdc, _mbs_check_mass_matrix)
-#define mbs_check_bias MBS_OWN(double_pendulum_9aa93bdc, _mbs_check_bias)
-#define mbs_check_accelerations MBS_OWN(double_pendulum_9aa93bdc, _mbs_check_accelerations)
-#define mbs_check_results MBS_OWN(double_pendulum_9aa93bdc, _mbs_check_results)
-#define mbs_check_solution MBS_OWN(double_pendulum_9aa93bdc, _mbs_check_solution)
-#define mbs_check_same_accelerations MBS_OWN(double_pendulum_9aa93bdc, _mbs_check_same_accelerations)
-#define mbs_check_p MBS_OWN(double_pendulum_9aa93bdc, _mbs_check_p)
-#define mbs_check_h MBS_OWN(double_pendulum_9aa93bdc, _mbs_check_h)
-#define mbs_check_theta MBS_OWN(double_pendulum_9aa93bdc, _mbs_check_theta)
+#define mbs_check_jacobian MBS_OWN(double_pendulum_4f18dc9a, _mbs_check_jacobian)
+#define mbs_check_adjoint MBS_OWN(double_pendulum_4f18dc9a, _mbs_check_adjoint)
+#define mbs_check_equal MBS_OWN(double_pendulum_4f18dc9a, _mbs_check_equal)
+#define mbs_check_tail MBS_OWN(double_pendulum_4f18dc9a, _mbs_check_tail)
+#define mbs_check_mass_matrix MBS_OWN(double_pendulum_4f18dc9a, _mbs_check_mass_matrix)
+#define mbs_check_bias MBS_OWN(double_pendulum_4f18dc9a, _mbs_check_bias)
+#define mbs_check_accelerations MBS_OWN(double_pendulum_4f18dc9a, _mbs_check_accelerations)
+#define mbs_check_results MBS_OWN(double_pendulum_4f18dc9a, _mbs_check_results)
+#define mbs_check_solution MBS_OWN(double_pendulum_4f18dc9a, _mbs_check_solution)
+#define mbs_check_same_accelerations MBS_OWN(double_pendulum_4f18dc9a, _mbs_check_same_accelerations)
+#define mbs_check_p MBS_OWN(double_pendulum_4f18dc9a, _mbs_check_p)
+#define mbs_check_h MBS_OWN(double_pendulum_4f18dc9a, _mbs_check_h)
+#define mbs_check_theta MBS_OWN(double_pendulum_4f18dc9a, _mbs_check_theta)
 
 #endif

@@ -20,7 +20,7 @@ from mbsgen.derivatives.looped import LoopedAccelerations, LoopedResidual, can_l
 from mbsgen.derivatives.vanishing import drop_vanishing, find_patterns, narrow
 from mbsgen.formulations import catalogue, coupling, ports
 from mbsgen.formulations.multipliers import list_owners
-from mbsgen.formulations.planning import finish, take_factors, write_sums
+from mbsgen.formulations.planning import finish, take_factors, write_sums, write_sums_again
 from mbsgen.formulations.reductions import Reductions
 from mbsgen.model.tree import Kind, Tree
 from mbsgen.procedure.fusion import drop_dead as drop_dead_stages
@@ -132,6 +132,7 @@ class _Choice:
     staged: bool
     size: CodeSize
     counted: bool  # the tape's own derivatives, however long
+    twice: bool = False  # write sums once more
 
     def finish(self, tape: Tape) -> Tape:
         """Lower a finished tape's cost, by the reductions that are on."""
@@ -148,6 +149,7 @@ class _Choice:
         flops = {way: count_paper(select(tape)) for way, tape in written.items()}
         best = min(flops, key=flops.__getitem__)
         whole = write_sums(written[best], self.reductions)
+        whole = write_sums_again(whole, self.reductions) if self.twice else whole
         found = select(whole)
         return Written(found, flops | {best: count_paper(found)}, whole)
 
@@ -220,7 +222,8 @@ class _OfResidual(_Chosen):
     def __init__(self, tree: Tree, reductions: Reductions, choice: _Choice) -> None:
         tape = straight(catalogue.FUNCTIONS[catalogue.REFERENCE].build(tree, reductions))
         super().__init__(tape, differentiable(tape))
-        self._tree, self._reductions, self._choice = tree, reductions, choice
+        self._tree, self._reductions = tree, reductions
+        self._choice = replace(choice, twice=True)  # all other derivatives hold these
 
     def _by_recursion(self, write: Callable[[Tree, Reductions], Tape]) -> Ways:
         if _is_strange(self._tree):

@@ -381,8 +381,20 @@ def write_sums(tape: Tape, reductions: Reductions) -> Tape:
     """Compute common parts of sums once, and add terms as they are ready, each if requested and worth it."""
     if len(tape.operations) > LONG or not (reductions.share or reductions.order):
         return tape
-    if reductions.factor:
-        tape = take_brackets(tape, FIXED)
+    return _rewrite(take_brackets(tape, FIXED) if reductions.factor else tape, reductions)
+
+
+def write_sums_again(tape: Tape, reductions: Reductions) -> Tape:
+    """Take factors out of sums that are written, and write them once more, if this saves operations.
+
+    Terms that became equal have factors in common, and sums of these have parts in common.
+    """
+    if len(tape.operations) > LONG or not (reductions.factor and reductions.share):
+        return tape
+    return min(tape, _rewrite(take_factors(tape, reductions), reductions), key=count_own)
+
+
+def _rewrite(tape: Tape, reductions: Reductions) -> Tape:
     ways = rewrite(tape, FIXED, share=reductions.share, order=reductions.order)
     found = min((way.ordered for way in ways), key=count_own)
     fewest = min([tape, *(way.plain for way in ways if reductions.order)], key=count_own)

@@ -97,7 +97,8 @@ class _Sums:
         self.wholes: dict[Op, dict[int, list[_Term]]] = {Op.ADD: {}, Op.MUL: {}}  # sums and products, by value
         for value, (op, _, _) in enumerate(tape.operations, tape.first_operation):
             if op in _KINDS and value not in self.inner and not self.is_constant[value]:
-                self.wholes[_KINDS[op]][value] = list_terms(tape, value, self.inner)
+                terms = list_terms(tape, value, self.inner)
+                self.wholes[_KINDS[op]][value] = terms if op is Op.MUL else _cancel(terms)
         self.pairs: dict[int, tuple[Op, _Term, _Term]] = {}  # the values of pairs follow the values of the tape
 
     # -- sharing ------------------------------------------------------------------------------------------------
@@ -273,6 +274,20 @@ class _Sums:
         if known is None:
             known = refs[value] = reduce(operate, [self._refer(operate, refs, x) for x in self.pairs[value][1:]])
         return sign * known
+
+
+def _cancel(terms: list[_Term]) -> list[_Term]:
+    """Leave out of a sum what it adds and subtracts; a sum without terms is left as it is."""
+    values = {x for x, _ in terms}
+    if len(values) == len(terms):
+        return terms
+    rest: list[_Term] = []
+    for x, sign in terms:
+        if (x, -sign) in rest:
+            rest.remove((x, -sign))
+        else:
+            rest.append((x, sign))
+    return rest or terms
 
 
 def _end(ready: Sequence[int], step: int) -> int:

@@ -52,12 +52,22 @@ def test_arm_takes_half_of_the_published_flops_or_less(name: str, published: int
     assert 2 * found <= published
 
 
-@pytest.mark.parametrize(("name", "reached"), [("impl", 999), ("exp2", 1999)])
-def test_jacobians_of_the_arm_take_less_than_round_numbers(name: str, reached: int):
-    """As generated, with the numbers of the model. Differentiating the tape of `impl` takes 1486."""
-    tree = read_tree(ARM)
-    found = Dynamics(tree, Reductions()).differentiate(straight(FUNCTIONS[name].build(tree, Reductions())))
-    assert count(straight(found.jac)).paper <= reached
+@pytest.mark.parametrize(("name", "reached", "lumped"), [("impl", 964, 977), ("exp2", 1957, 1971)])
+def test_jacobians_of_the_arm_take_less_than_round_numbers(name: str, reached: int, lumped: int):
+    """As generated, with the numbers of the model, 1000 and 2000; and with numbers at run time.
+
+    Differentiating the tape of `impl` takes 1486.
+    """
+    assert cost_of_jacobian(name, read_tree(ARM), Reductions()) <= reached
+    assert cost_of_jacobian(name, arm(), LUMPED) <= lumped
+
+
+def cost_of_jacobian(name: str, tree: Tree, reductions: Reductions) -> int:
+    found = Dynamics(tree, reductions).differentiate(straight(FUNCTIONS[name].build(tree, reductions)))
+    tape = straight(found.jac)
+    if tape.holding(Role.PARAMETER):
+        _, (tape,) = hoist([tape], ports.PARAMETERS, ports.SETUP)
+    return count(tape).paper
 
 
 @pytest.mark.parametrize(("name", "published"), [("IMPL", 114), ("SEMI", 264), ("EXP1", 328), ("EXP2", 395)])

@@ -7,6 +7,8 @@ from collections.abc import Callable, Sequence, Set
 import numpy as np
 import pytest
 
+from mbsgen.formulations.planning import count_own, take_factors, write_sums, write_sums_again
+from mbsgen.formulations.reductions import ALL
 from mbsgen.roles import Role
 from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.counts import count_paper
@@ -36,6 +38,9 @@ def order(tape: Tape) -> Tape:
         pytest.param(lambda x: [x[0] + x[1], x[0] + x[2] + x[1]], 3, 2, id="one within another"),
         pytest.param(lambda x: [x[0] + x[1] + x[2], x[0] - x[1] + x[3]], 4, 4, id="a sum is no difference"),
         pytest.param(lambda x: [x[0] * x[0] * x[1], x[0] * x[2] * x[0]], 4, 3, id="squares"),
+        pytest.param(lambda x: [x[2] + x[0] - (x[0] - x[1])], 3, 1, id="terms that cancel"),
+        pytest.param(lambda x: [x[0] * (x[3] - (x[3] - x[1]))], 3, 1, id="all terms cancel but one"),
+        pytest.param(lambda x: [(x[0] - x[1]) + (x[1] - x[2]) + (x[2] - x[0])], 5, 5, id="a sum without terms is left"),
         pytest.param(lambda x: [x[0] + x[1] + x[2] + x[3], x[3] + x[2] + x[1]], 5, 3, id="three terms"),
     ],
 )
@@ -54,6 +59,15 @@ def test_any_tape_keeps_its_values(seed: int) -> None:
     for found in (share(tape), order(tape), *(x.ordered for x in rewrite(tape))):
         assert_same(tape, found)
     assert rewrite(tape) == rewrite(tape)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_sums_that_are_written_again_take_no_more_operations(seed: int) -> None:
+    """To the same values, after sums were written by all rules once."""
+    tape = write_sums(take_factors(random_tape(seed), ALL), ALL)
+    again = write_sums_again(tape, ALL)
+    assert count_own(again) <= count_own(tape)
+    assert_same(tape, again)
 
 
 def test_a_tape_is_written_once_where_nothing_is_handed_on_or_waits() -> None:
