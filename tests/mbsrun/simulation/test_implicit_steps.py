@@ -120,6 +120,9 @@ class Kernels:
             positions=positions,
             coordinates=[SimpleNamespace(name=x) for x in names],
             configuration=self.has_ball,
+            inputs=("a", "b"),
+            owners=(),
+            driven=(),
         )
 
     def __call__(self, _: str, q: Array, qd: Array) -> dict[str, Array]:
