@@ -60,7 +60,7 @@ class Moved:
 
 @dataclass(frozen=True)
 class Tree(trees.Mechanism):
-    """The same tree, with what variational steps call."""
+    """The same tree, with the functions that variational steps call."""
 
     def linearise(self, q: Array, qd: Array, qdd: Array, v: Array) -> tuple[Array, ...]:
         """Return the residual with its derivatives."""
@@ -74,7 +74,7 @@ class Tree(trees.Mechanism):
 
 @dataclass(frozen=True)
 class Chain(loops.Loop):
-    """The same loops, with what variational steps call."""
+    """The same loops, with the functions that variational steps call."""
 
     @property
     def kernels(self) -> Any:
