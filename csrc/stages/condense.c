@@ -157,10 +157,11 @@ static int grows(const mbs_stages_stage *s, real most)
 
 int mbs_stages_mind_growth(mbs_stages_recursion *r, int from)
 {
+    const real most = r->lost || !MBS_STAGES_SEARCHES ? r->growth : MBS_STAGES_OVERGROWN * r->growth;
     int k, count = 0;
     for (k = from; k < r->stages; ++k) {
         mbs_stages_inner *y = &r->stage[k].inner;
-        if (y->n == 0 || y->careful || !grows(&r->stage[k], r->growth))
+        if (y->n == 0 || y->careful || !grows(&r->stage[k], most))
             continue;
         y->careful = y->stale = 1;
         ++count;

@@ -17,6 +17,7 @@
 #define MBS_STAGES_EXACT 1e-4f     /* compliance, beside the inverse of the curvature, that takes digits */
 #define MBS_STAGES_ZERO 3.2e-5f    /* pivots that count as 0, beside the largest entry of their row */
 #define MBS_STAGES_GROWTH 300.0f   /* of inner variables with outer ones that may take digits */
+#define MBS_STAGES_OVERGROWN 3     /* times as much that takes them anyway */
 #define MBS_STAGES_SMALL 1e-2f     /* pivots that stages use only if they must, where digits were lost */
 #define MBS_STAGES_SHARP 1e-5f     /* share of the cost that bounds that give, and the barrier, may decide: polished once, */
 #define MBS_STAGES_DULL 1e-4f      /* and polished again */
@@ -37,6 +38,7 @@
 #define MBS_STAGES_EXACT 1e-10
 #define MBS_STAGES_ZERO 1.5e-8
 #define MBS_STAGES_GROWTH 5e4
+#define MBS_STAGES_OVERGROWN 40
 #define MBS_STAGES_SMALL 1e-4
 #define MBS_STAGES_SHARP 1e-12
 #define MBS_STAGES_DULL 1e-8
@@ -63,6 +65,7 @@
 #define FREE_COMPLIANCE ((real)1e20)  /* of an elastic variable without curvature */
 #define MANY_REFINEMENTS 2            /* show a loss of digits */
 #define MOST_UNHELPED 3               /* steps that have no digits whether rows give or not, before that is given up */
+#define PIVOT_ROUNDING (1000 * MBS_STAGES_EPSILON) /* of a pivot beside its diagonal: as small, it shows no lack of curvature */
 #define SUM_ROUNDING (100 * MBS_STAGES_EPSILON) /* of sums of products with a solution's numbers */
 #define REFINED_SHARE ((real)1e-2)    /* of the tolerance, that no step needs to be refined to */
 #define CORRECTED_BELOW ((real)1e-2)  /* the barrier parameter, at most, for corrections of products, */

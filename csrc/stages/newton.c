@@ -365,6 +365,8 @@ static int solve_again(mbs_stages *s, mbs_stages_phase *p, const real *c)
 static int solve_well(mbs_stages *s, mbs_stages_phase *p, const real *c)
 {
     int passes = solve_reduced(s);
+    if (MBS_STAGES_SEARCHES)
+        s->recursion.lost = passes < 0;
     if ((passes < 0 || passes >= MANY_REFINEMENTS) && mbs_stages_mind_growth(&s->recursion, 0))
         passes = solve_again(s, p, c);
     if (!MBS_STAGES_SEARCHES || p->elastic)

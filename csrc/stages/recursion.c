@@ -195,6 +195,15 @@ static void condense_next(mbs_stages_recursion *r, int k)
     r->condensed = first;
 }
 
+/* Reduce a step to its first variables; `lost`: where it fails, digits may be lost. */
+static int reduce(mbs_stages_recursion *r, mbs_stages_step *p, real *quadratic)
+{
+    const int failed = mbs_stages_reduce(p, quadratic, r->work, r->zero_pivot, r->zero_curvature);
+    if (MBS_STAGES_SEARCHES)
+        r->lost = p->lost;
+    return failed;
+}
+
 static int factorise_stage(mbs_stages_recursion *r, int k)
 {
     mbs_stages_stage *s = &r->stage[k];
@@ -212,12 +221,13 @@ static int factorise_stage(mbs_stages_recursion *r, int k)
         add_next_cost(s, &next, Q, r->work[0]);
     }
     stack_rows(r, k);
-    return mbs_stages_reduce(p, Q, r->work, r->zero_pivot, r->zero_curvature);
+    return reduce(r, p, Q);
 }
 
 static int soften(mbs_stages_recursion *r, int k)
 {
     const mbs_stages_stage *next = &r->stage[k + 1];
+    r->lost = 1;
     return mbs_stages_soften(&r->soft[k], r->step[k + 1].P, r->compliance + r->stage[k].d, r->fixed + next->w,
                              r->zero_curvature);
 }
@@ -235,7 +245,7 @@ static int factorise_root(mbs_stages_recursion *r)
     for (i = 0; i < q->nx; ++i)
         if (r->fixed[r->stage[0].w + i])
             add_row(p, NULL, i);
-    return mbs_stages_reduce(p, q->P, r->work, r->zero_pivot, r->zero_curvature);
+    return reduce(r, p, q->P);
 }
 
 static int dependent_rows(const mbs_stages_step *p)

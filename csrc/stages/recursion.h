@@ -70,6 +70,7 @@ typedef struct {
     real *constant;            /* of the rows; then their multipliers */
     real *ahead;               /* of d, where the step of (x, v) is 0 */
     real left;                 /* largest residual of rows without pivot */
+    int lost;                  /* the last pivot of the free ones is as small as rounding */
 } mbs_stages_step;
 
 /* Memory of one worker. */
@@ -95,6 +96,7 @@ typedef struct {
     int plain; /* 1: without H */
     int condensed; /* stages from here on are condensed, by the derivatives and the diagonal that are there */
     int dependent, soft_dynamics;
+    int lost;     /* what failed last, a factorisation or refinement, may have failed for lost digits */
     int singular; /* stages whose inner equations do not determine the inner variables */
     real zero_pivot, small_pivot, zero_curvature, growth;
     real left; /* largest residual of dependent rows in the last sweep: 0 unless they contradict others */

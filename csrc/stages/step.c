@@ -199,7 +199,8 @@ static void substitute_pivots(mbs_stages_step *p, real *rr, real *half)
         p->Y[i] = 2 * half[i] - p->Y[i];
 }
 
-/* Factorise the free variables: rows (K LT), with the inverse of L's diagonal, and 0 before it. */
+/* Factorise the free variables: rows (K LT), with the inverse of L's diagonal, and 0 before it. Where a pivot is too small,
+ * `lost` notes whether that may be rounding. */
 static int factorise_free(mbs_stages_step *p, const real *rr, real zero_curvature)
 {
     const int nx = p->nx, free_ones = p->reduced - nx, width = p->width;
@@ -209,6 +210,8 @@ static int factorise_free(mbs_stages_step *p, const real *rr, real zero_curvatur
     for (i = 0; i < free_ones; ++i) {
         real *row = p->L + (size_t)i * (size_t)width, pivot = row[nx + i], scale;
         mbs_stages_add_rows(width, i, -1, p->L + nx + i, width, p->L, width, row);
+        if (MBS_STAGES_SEARCHES)
+            p->lost = !(real_abs(row[nx + i]) > PIVOT_ROUNDING * real_abs(pivot));
         if (!(row[nx + i] > zero_curvature * real_abs(pivot)))
             return -1;
         scale = 1 / real_sqrt(row[nx + i]);

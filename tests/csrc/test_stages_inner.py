@@ -204,6 +204,26 @@ def test_inner_rows_that_hardly_give_a_variable(library: Library, tiny: float, f
     assert max(problem.residuals(*answer.point)) < 1e-8
 
 
+def test_a_lack_of_curvature_is_no_loss_of_digits(library: Library) -> None:
+    """Outer variables move inner ones by 1e5, and a free one within bounds has negative curvature.
+
+    What a factorisation lacks is larger than rounding: it gets curvature, and nothing is left to the recursion.
+    """
+    rng = np.random.default_rng(8)
+    problem = random_problem(rng, [(3, 7, 4, 0)] * 6 + [(3, 0, 0, 0)], bounds=0.3)
+    w = Solver(library, problem).solve().w
+    for k in (1, 2, 4):
+        problem.E[k][:, 6] *= 1e-5
+        meet(problem, k, w)
+        at = 10 * k + 9
+        problem.H[k][9, 9] -= 100.0
+        problem.lower[at], problem.upper[at] = w[at] - 0.5, w[at] + 0.5
+    answer = Solver(library, condensed(problem, [4] * 6 + [0])).solve()
+    assert (answer.status, answer.result.singular) == ("solved", 0)
+    assert answer.result.factorisations > answer.result.iterations
+    assert max(problem.residuals(*answer.point)) < 1e-7
+
+
 @pytest.mark.parametrize("size", [1e-8, 1e8])
 def test_units_of_inner_variables_and_rows(library: Library, size: float) -> None:
     """Scales undo units that differ by eight orders of magnitude."""

@@ -256,6 +256,9 @@ static void mind(void)
         write_stage(k);
     }
     LAW("small pivots are used at first", mbs_stages_factorise(r, 0) == -1 && r->singular == 0);
+    r->lost = 0;
+    LAW("growth is borne while no digits are lost", mbs_stages_mind_growth(r, 0) == 0);
+    r->lost = 1;
     LAW("growth is minded from a stage on", mbs_stages_mind_growth(r, 3) == 1);
     LAW("of all stages with too much of it", mbs_stages_mind_growth(r, 0) == 1);
     LAW("once", mbs_stages_mind_growth(r, 0) == 0);
