@@ -22,7 +22,7 @@ import numpy as np
 from mbsrun.closure import find_closure
 from mbsrun.ocp.ground.functions import Array
 from mbsrun.ocp.ground.plant import Plant
-from mbsrun.ocp.problem.contacts import Held, find_held, locate
+from mbsrun.ocp.problem.contacts import Held, find_held, list_entries, locate
 from mbsrun.ocp.problem.problem import End, Problem, Target
 from mbsrun.ocp.statement.checks import ProblemError
 
@@ -62,13 +62,13 @@ def leave_out_surplus(problem: Problem, plant: Plant, q: Array, like: End | None
         _check_accelerations(problem, plant, held, q, free, speeds, changes, kept)
         values = tuple((i, changes[i]) for i in kept)
         end = replace(end, acceleration_zero=False, accelerations=values)
-    places, known = dict(end.coordinates), _find_places(problem, plant, held)
+    places, known = dict(end.coordinates), _find_places(problem, plant)
     if not manifest.quaternions and known is not None and places:
         free = null_space(_join(plant, held, q, (), known[0]), rcond=RANK)
         kept = _choose(free, list(places), () if like is None else dict(like.coordinates))
         if len(kept) < len(places):
             _check_unknowns(problem, plant, held, q, "end.coordinates", True)
-            _check_pose(problem, plant, held, q, places, kept, known)
+            _check_pose(problem, plant, held, q, places, kept, (known[0], known[1]()))
             end = replace(end, coordinates=tuple((i, places[i]) for i in kept))
     return replace(problem, end=end)
 
@@ -105,18 +105,19 @@ def free_targets(problem: Problem, plant: Plant, q: Array) -> Problem:
     return replace(problem, end=replace(end, sensors=tuple(sensors)))
 
 
-def _find_places(problem: Problem, plant: Plant, held: Held) -> tuple[list[int], Array] | None:
-    """Return the places among `held` that a motion keeps, by index, and their values; None where they are open.
+def _find_places(problem: Problem, plant: Plant) -> tuple[list[int], Callable[[], Array]] | None:
+    """Return the places among the held ones that a motion keeps, by index, and their values; None where they are open.
 
     All are known where the whole start is given, and distances from planes where modes are.
     """
     manifest = plant.manifest
-    if not any(i < len(manifest.positions) for i in problem.free_start):
-        return [*range(len(held.entries))], locate(plant, np.array(problem.start_q), held.entries)
-    planes = {law.point: law.height for law in manifest.open_contacts} if problem.modes else {}
     entries = [(contact, axis) for contact in problem.contacts for axis in contact.axes]
+    if not any(i < len(manifest.positions) for i in problem.free_start):
+        held = [entry for contact in problem.contacts for entry in list_entries(contact, manifest)]
+        return [*range(len(held))], lambda: locate(plant, np.array(problem.start_q), held)
+    planes = {law.point: law.height for law in manifest.open_contacts} if problem.modes else {}
     known = [k for k, (contact, axis) in enumerate(entries) if contact.sensor in planes and axis == contact.normal]
-    return (known, np.array([planes[entries[k][0].sensor] for k in known])) if known else None
+    return (known, lambda: np.array([planes[entries[k][0].sensor] for k in known])) if known else None
 
 
 def _constrain(plant: Plant, held: Held, q: Array) -> Array:
