@@ -16,14 +16,14 @@ from mbsgen.roles import Role
 from mbsgen.tape.draft import Changes, Draft
 from mbsgen.tape.references import Arithmetic
 from mbsgen.tape.replay import count_varying
-from mbsgen.tape.types import Op, Tape
+from mbsgen.tape.types import ADD, MUL, SUB, Tape
 from mbsgen.tape.writer import Ref
 
 MOST_TERMS = 16  # of a sum that is looked at
 MOST_FACTORS = 10  # of a product
 TRIED = 24  # brackets for one tape
 
-_SUMS = frozenset({Op.ADD, Op.SUB})
+_SUMS = frozenset({ADD, SUB})
 _Product = tuple[int, ...]  # factors, ascending
 _Bracket = tuple[_Product, _Product, int]  # two products in order, and the product of their signs
 _Place = tuple[int, int, int]  # a sum, and two of its terms
@@ -67,7 +67,7 @@ class _Brackets:
         self.factors: dict[int, _Product] = {}
         kinds = [(value, draft.operations[value][0]) for value in draft.order]
         for value, op in kinds:
-            if op is Op.MUL and draft.count_uses(value) > 1:
+            if op is MUL and draft.count_uses(value) > 1:
                 self._list_product(value)
         for value, op in kinds:
             if op in _SUMS and not draft.is_inner(value):
@@ -117,7 +117,7 @@ class _Brackets:
             op = self.draft.operations.get(value, (None,))[0]
             if op in _SUMS:  # it may have become a part of another one, or be one no more
                 found.add(self._find_whole(value))
-            if op in _SUMS or (op is Op.MUL and value in stale):
+            if op in _SUMS or (op is MUL and value in stale):
                 found.update(self._find_whole(x) for x in self.draft.users.get(value, ()))
         for value in sorted(found):
             self._list_sum(value)
@@ -126,10 +126,10 @@ class _Brackets:
         """Find the values that changed, and the products that have factors of these: other values are one factor."""
         operations, users = self.draft.operations, self.draft.users
         stale = set(changes.written)
-        waiting = [x for x in stale if x in operations and operations[x][0] is Op.MUL]
+        waiting = [x for x in stale if x in operations and operations[x][0] is MUL]
         while waiting:
             for user in users.get(waiting.pop(), ()):
-                if operations[user][0] is Op.MUL and user not in stale:
+                if operations[user][0] is MUL and user not in stale:
                     stale.add(user)
                     waiting.append(user)
         for value in stale:
@@ -154,7 +154,7 @@ class _Brackets:
                 del self.values[known]
                 self.holding[known[0]].remove(known)
         kind = draft.operations.get(value, (None,))[0]
-        if kind is Op.MUL and not draft.is_constant[value] and draft.count_uses(value) > 1:
+        if kind is MUL and not draft.is_constant[value] and draft.count_uses(value) > 1:
             product = self.products[value] = self._take_apart(value)
             self.values.setdefault(product, set()).add(value)
             self.holding.setdefault(product[0], set()).add(product)
@@ -212,7 +212,7 @@ class _Brackets:
             place, sign = waiting.pop()
             if place == value or draft.is_inner(place):
                 op, a, b = draft.operations[place]
-                waiting += [(b, -sign if op is Op.SUB else sign), (a, sign)]
+                waiting += [(b, -sign if op is SUB else sign), (a, sign)]
             else:
                 terms.append((place, sign))
         return terms
@@ -222,7 +222,7 @@ class _Brackets:
         known = self.factors.get(value)
         if known is None:
             found, factors = self.draft.operations.get(value), [value]
-            if found is not None and found[0] is Op.MUL:
+            if found is not None and found[0] is MUL:
                 factors = self._list_factors(value)
             known = self.factors[value] = tuple(sorted(factors)) if len(factors) <= MOST_FACTORS else (value,)
         return known
@@ -233,7 +233,7 @@ class _Brackets:
         while waiting:
             place = waiting.pop()
             found = operations.get(place)
-            if found is not None and found[0] is Op.MUL and not is_constant[place]:
+            if found is not None and found[0] is MUL and not is_constant[place]:
                 waiting += found[1:]
             else:
                 factors.append(place)

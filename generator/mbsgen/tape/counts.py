@@ -14,12 +14,12 @@ from operator import itemgetter
 from typing import TypeVar
 
 from mbsgen.manifest import Flops
-from mbsgen.tape.types import Op, Tape
+from mbsgen.tape.types import ADD, DIV, MUL, NEG, SUB, Op, Tape
 
-ARITHMETIC = frozenset({Op.ADD, Op.SUB, Op.MUL, Op.DIV})
-PAPER = ARITHMETIC | {Op.NEG, Op.SQRT, Op.SIN, Op.COS}  # the closest match to the counts that Robotran prints
+ARITHMETIC = frozenset({ADD, SUB, MUL, DIV})
+PAPER = ARITHMETIC | {NEG, Op.SQRT, Op.SIN, Op.COS}  # the closest match to the counts that Robotran prints
 INLINED = 3  # the most operations of a value that is written into another expression; a sum may be of any length
-_SUMS = frozenset({Op.ADD, Op.SUB})
+_SUMS = frozenset({ADD, SUB})
 _TURNS = frozenset({Op.SIN, Op.COS})
 _OP, _FIRST, _SECOND = map(itemgetter, range(3))
 
@@ -59,10 +59,10 @@ class Counts:
         return Flops(
             paper=self.paper,
             arithmetic=self.arithmetic,
-            add=self.of(Op.ADD, Op.SUB),
-            mul=self.of(Op.MUL),
-            div=self.of(Op.DIV),
-            neg=self.of(Op.NEG),
+            add=self.of(ADD, SUB),
+            mul=self.of(MUL),
+            div=self.of(DIV),
+            neg=self.of(NEG),
             sqrt=self.of(Op.SQRT),
             trig=self.of(Op.SIN, Op.COS),
             other=sum(self.operations.values()) - self.of(*PAPER),
@@ -144,6 +144,6 @@ def find_sums(tape: Tape) -> frozenset[int]:
     for op, a, b in operations:
         if op in _SUMS and a in continued:
             found.add(a)
-        elif op is Op.ADD and b in continued:
+        elif op is ADD and b in continued:
             found.add(b)
     return frozenset(found)

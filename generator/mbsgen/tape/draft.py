@@ -25,7 +25,7 @@ from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.counts import PAPER
 from mbsgen.tape.references import OWN, Arithmetic, size_of
 from mbsgen.tape.replay import count_varying, find_constants, replay_guards
-from mbsgen.tape.types import EVEN, FUNCTIONS, ODD, Op, Operation, Tape
+from mbsgen.tape.types import ADD, DIV, EVEN, FUNCTIONS, MUL, NEG, ODD, SUB, Operation, Tape
 from mbsgen.tape.writer import Key, Ref, Result, Test, Writer, choose_turned
 
 ROOM = 44  # bits between the numbers of neighbours
@@ -33,7 +33,7 @@ PART = 8  # of the room that is left, a new value takes one
 OPERANDS = 2  # at most
 
 Write = Callable[[Arithmetic, Callable[[int], Ref], int], Ref]  # writes a value anew, given how values are referred to
-_SUMS = frozenset({Op.ADD, Op.SUB})
+_SUMS = frozenset({ADD, SUB})
 _ASKING = frozenset(FUNCTIONS) - ODD - EVEN  # functions that need their operands' signs; others take values as stored
 
 # what `_follow` replaces
@@ -545,7 +545,7 @@ class Draft(Arithmetic):
         assert isinstance(key, tuple)
         op, a, b = key
         sign = -1 if number in self._now_turned else 1
-        if op is Op.MUL or op is Op.DIV:
+        if op is MUL or op is DIV:
             signs = [1 if self._bases[x] == 0 else self._kept[x] for x in (a, b)]
             if self._bases[a] == 0:
                 return (op, sign * signs[1] * a, b), sign
@@ -554,12 +554,12 @@ class Draft(Arithmetic):
             return (op, a, b), signs[0] * signs[1]
         if op in _SUMS:
             one = sign * (1 if self._bases[a] == 0 else self._kept[a])
-            other = sign * (1 if self._bases[b] == 0 else self._kept[b]) * (1 if op is Op.ADD else -1)
+            other = sign * (1 if self._bases[b] == 0 else self._kept[b]) * (1 if op is ADD else -1)
             if one < 0 and other < 0:
                 sign, one, other = -sign, 1, 1
             if one < 0:
-                return (Op.SUB, b, a), sign
-            return (Op.ADD if other > 0 else Op.SUB, a, b), sign
+                return (SUB, b, a), sign
+            return (ADD if other > 0 else SUB, a, b), sign
         if op in _ASKING:
             return (op, self._turn_to_stored(a), self._turn_to_stored(b)), 1
         return (op, a, b), self._kept[a] if op in ODD else 1
@@ -601,7 +601,7 @@ class Draft(Arithmetic):
         for number, (op, a, b) in self.operations.items():
             self._slot = self._here = number
             ref = refs[number] = self.operate(op, refs[a], refs[b])
-            if abs(ref) != (a if op is Op.NEG else number):
+            if abs(ref) != (a if op is NEG else number):
                 break
         else:
             before = {name: self.__dict__[name] for name in _FOLLOWED}
@@ -618,7 +618,7 @@ class Draft(Arithmetic):
         signs = [1] * self._first_test + [x for g in tape.guards for x in (-1 if g.negated else 1, 1)]
         self._roots = {k: sign * refs[self._roots[k]] for k, sign in enumerate(signs)}
         self._labels = {refs[x]: text for x, text in self._labels.items()}
-        turned = {x: found[1] for x, found in self.operations.items() if found[0] is Op.NEG}
+        turned = {x: found[1] for x, found in self.operations.items() if found[0] is NEG}
         self.operations = {x: found for x, found in self.operations.items() if x not in turned}
         self._order = [*self.operations]
         self._kept = self._kept | {number: 1 if refs[number] > 0 else -1 for number in self.operations}

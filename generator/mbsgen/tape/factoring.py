@@ -13,7 +13,7 @@ from mbsgen.roles import Role
 from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.counts import count_uses
 from mbsgen.tape.replay import declare_inputs, find_constants, leaves, replay_guards
-from mbsgen.tape.types import Op, Tape
+from mbsgen.tape.types import ADD, MUL, SUB, Tape
 from mbsgen.tape.writer import Ref
 
 _Term = tuple[int, int, int | None]  # in a sum: a sign, and a product or, without a second factor, a value
@@ -37,9 +37,9 @@ class _Factoring:
         may_be = {
             value
             for value, (op, _, _) in enumerate(self.tape.operations, first)
-            if (op is Op.MUL or op is Op.ADD or op is Op.SUB) and uses[value] == 1 and not is_constant[value]
+            if (op is MUL or op is ADD or op is SUB) and uses[value] == 1 and not is_constant[value]
         }
-        sums = ((a, b) for op, a, b in self.tape.operations if op is Op.ADD or op is Op.SUB)
+        sums = ((a, b) for op, a, b in self.tape.operations if op is ADD or op is SUB)
         return {x for operands in sums for x in operands if x in may_be}
 
     def run(self) -> Tape:
@@ -49,7 +49,7 @@ class _Factoring:
         for value, (op, a, b) in enumerate(self.tape.operations, self.tape.first_operation):
             if value in inner:
                 refs.append(0)  # written where it is used
-            elif op is Op.ADD or op is Op.SUB:
+            elif op is ADD or op is SUB:
                 refs.append(self._write_sum(builder, refs, value))
             else:
                 refs.append(operate(op, refs[a], refs[b] if b >= 0 else 0))
@@ -66,10 +66,10 @@ class _Factoring:
     def _terms(self, value: int, sign: int, terms: list[_Term]) -> None:
         """Add the terms of a product or sum to a list."""
         op, a, b = self.tape.operations[value - self.tape.first_operation]
-        if op is Op.MUL:
+        if op is MUL:
             terms.append((sign, a, b))
             return
-        for operand, own in ((a, sign), (b, sign if op is Op.ADD else -sign)):
+        for operand, own in ((a, sign), (b, sign if op is ADD else -sign)):
             if operand in self.inner:
                 self._terms(operand, own, terms)
             else:

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from mpmath import mpf
 
 from mbsgen.errors import TapeError
-from mbsgen.tape.types import EVEN, LITERALS, ODD, Op
+from mbsgen.tape.types import ADD, DIV, EVEN, LITERALS, MUL, NEG, ODD, SUB, Op
 from mbsgen.tape.writer import Key, Numbered, Ref, sign_of
 
 OWN = -1  # as a base: the node's own number
@@ -99,14 +99,14 @@ class Arithmetic(ABC):
         if self._fold and (base := self._bases[x]) == self._bases[abs(y)]:
             factor = self.literal(self._factor(x) + self._factor(y))
             return self.mul(factor, base) if base else factor
-        return self._new((Op.ADD, x, y) if y > 0 else (Op.SUB, x, -y))
+        return self._new((ADD, x, y) if y > 0 else (SUB, x, -y))
 
     def _find_left(self, x: Ref, y: Ref) -> Ref:
         """Refer to b where y is a sum -x + b, so that x + y = b; return 0 where y is no such sum."""
         key = self._nodes[abs(y)]
-        if not isinstance(key, tuple) or key[0] not in (Op.ADD, Op.SUB):
+        if not isinstance(key, tuple) or key[0] not in (ADD, SUB):
             return 0
-        a, b = (key[1], key[2] if key[0] is Op.ADD else -key[2])
+        a, b = (key[1], key[2] if key[0] is ADD else -key[2])
         a, b = (a, b) if y > 0 else (-a, -b)
         return b if x == -a else a if x == -b else 0
 
@@ -136,7 +136,7 @@ class Arithmetic(ABC):
                 if base != y:
                     factor = self.literal(self._factor(x) * self._factor(y))
                     return self.mul(factor, base) if base else factor
-        return self._new((Op.MUL, x, y), y if self._bases[x] == 0 else OWN)
+        return self._new((MUL, x, y), y if self._bases[x] == 0 else OWN)
 
     def div(self, x: Ref, y: Ref) -> Ref:
         """Refer to x / y; for a literal y, to the product with its inverse."""
@@ -152,19 +152,19 @@ class Arithmetic(ABC):
                 return sign * self.mul(x, self.literal(1 / b))
             if x == y:
                 return sign * self.literal(_ONE)
-        return sign * self._node(Op.DIV, x, y)
+        return sign * self._node(DIV, x, y)
 
     def operate(self, op: Op, x: Ref, y: Ref) -> Ref:
         """Refer to an operation of any kind; y is 0 for one operand."""
-        if op is Op.MUL:
+        if op is MUL:
             return self.mul(x, y)
-        if op is Op.ADD:
+        if op is ADD:
             return self.add(x, y)
-        if op is Op.SUB:
+        if op is SUB:
             return self.add(x, -y)
-        if op is Op.NEG:
+        if op is NEG:
             return -x
-        return self.div(x, y) if op is Op.DIV else self.call(op, x, y)
+        return self.div(x, y) if op is DIV else self.call(op, x, y)
 
     def call(self, op: Op, x: Ref, y: Ref = 0) -> Ref:
         """Refer to op(x) or op(x, y); the sign of x is moved outside where the function is odd or even."""

@@ -23,15 +23,15 @@ from mbsgen.roles import Role
 from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.counts import count_uses
 from mbsgen.tape.replay import declare_inputs, find_constants, leaves, replay_guards
-from mbsgen.tape.types import Op, Tape
+from mbsgen.tape.types import ADD, DIV, MUL, SUB, Op, Tape
 from mbsgen.tape.writer import Ref
 
 LONGEST = 48  # terms; a longer sum shares nothing, since its pairs would be thousands
-CLOCKS = {Op.ADD: 4, Op.SUB: 4, Op.MUL: 4, Op.DIV: 14, Op.SQRT: 18}  # until a result is ready; of today's processors
+CLOCKS = {ADD: 4, SUB: 4, MUL: 4, DIV: 14, Op.SQRT: 18}  # until a result is ready; of today's processors
 CLOCKS_OF_FUNCTION = 40
 
-SUMS: Mapping[Op, Op] = {Op.ADD: Op.ADD, Op.SUB: Op.ADD}  # a difference is a sum
-_KINDS: Mapping[Op, Op] = {**SUMS, Op.MUL: Op.MUL}
+SUMS: Mapping[Op, Op] = {ADD: ADD, SUB: ADD}  # a difference is a sum
+_KINDS: Mapping[Op, Op] = {**SUMS, MUL: MUL}
 _Term = tuple[int, int]  # a value and its sign; of a product, always 1
 _Pair = tuple[int, int, int]  # two values in order, and the product of their signs
 
@@ -84,7 +84,7 @@ def list_terms(tape: Tape, value: int, inner: Set[int]) -> list[tuple[int, int]]
             terms.append((place, sign))
             continue
         op, a, b = tape.operations[place - tape.first_operation]
-        waiting += [(b, -sign if op is Op.SUB else sign), (a, sign)]
+        waiting += [(b, -sign if op is SUB else sign), (a, sign)]
     return terms
 
 
@@ -94,7 +94,7 @@ class _Sums:
         self.is_constant = [*find_constants(tape, constant)]
         self.inner = find_inner(tape, self.is_constant, _KINDS)
         self.handed_on = False
-        self.wholes: dict[Op, dict[int, list[_Term]]] = {Op.ADD: {}, Op.MUL: {}}  # sums and products, by value
+        self.wholes: dict[Op, dict[int, list[_Term]]] = {ADD: {}, MUL: {}}  # sums and products, by value
         for value, (op, _, _) in enumerate(tape.operations, tape.first_operation):
             if op in _KINDS and value not in self.inner and not self.is_constant[value]:
                 terms = list_terms(tape, value, self.inner)
@@ -124,7 +124,7 @@ class _Sums:
     def _move_constants(self) -> bool:
         """Move the constant of a product into the products that use it, where all of these have constants too."""
         has_moved = False
-        products = self.wholes[Op.MUL]
+        products = self.wholes[MUL]
         holders: dict[int, list[int]] = {}
         for value, factors in products.items():
             for x, _ in factors:
@@ -255,7 +255,7 @@ class _Sums:
 
     def _combine(self, builder: Builder, refs: dict[int, Ref], kind: Op, terms: Sequence[_Term]) -> Ref:
         """Write a sum or product; several constants become one, the first factor or the last term."""
-        operate, is_constant = builder.add if kind is Op.ADD else builder.mul, self.is_constant
+        operate, is_constant = builder.add if kind is ADD else builder.mul, self.is_constant
         if len(terms) == 2:
             (x, r), (y, s) = terms
             if x in refs and y in refs:
@@ -265,7 +265,7 @@ class _Sums:
             return reduce(operate, map(partial(self._refer, operate, refs), terms))  # a pair where its turn comes
         rest, together = [term for term in terms if not is_constant[term[0]]], reduce(operate, fixed)
         varying = [self._refer(operate, refs, term) for term in rest]
-        return reduce(operate, (*varying, together) if kind is Op.ADD else (together, *varying))
+        return reduce(operate, (*varying, together) if kind is ADD else (together, *varying))
 
     def _refer(self, operate: Callable[[Ref, Ref], Ref], refs: dict[int, Ref], term: _Term) -> Ref:
         """Refer to a term; write a pair where it is first asked for."""

@@ -55,7 +55,10 @@ class Op(Enum):
     __hash__ = object.__hash__  # members are singletons; Enum's own hash is slower
 
 
-_WRITTEN_BY_SIGNS = frozenset({Op.ADD, Op.SUB, Op.MUL, Op.DIV, Op.NEG})
+# Python 3.11 finds a member by its class ten times slower than a name, and these are compared for every operation.
+ADD, SUB, MUL, DIV, NEG = Op.ADD, Op.SUB, Op.MUL, Op.DIV, Op.NEG
+
+_WRITTEN_BY_SIGNS = frozenset({ADD, SUB, MUL, DIV, NEG})
 FUNCTIONS: tuple[Op, ...] = tuple(op for op in Op if op not in _WRITTEN_BY_SIGNS)
 ODD = frozenset({Op.SIN, Op.TAN, Op.ASIN, Op.ATAN, Op.TANH, Op.SIGN})  # f(-x) = -f(x)
 EVEN = frozenset({Op.COS, Op.ABS})  # f(-x) = f(x)

@@ -10,11 +10,11 @@ from typing import Protocol, TypeVar
 from mpmath import mpf
 
 from mbsgen.tape.ports import Function, Port
-from mbsgen.tape.types import EVEN, LITERALS, ODD, Guard, Input, Op, Output, Sparsity, Tape
+from mbsgen.tape.types import ADD, DIV, EVEN, LITERALS, MUL, NEG, ODD, SUB, Guard, Input, Op, Output, Sparsity, Tape
 
 Ref = int  # +n or -n: node n, or its negative; 0: the number 0
 Key = tuple[Op, Ref, Ref]  # an operation on references
-_TURNABLE = ODD | {Op.ADD, Op.SUB, Op.MUL, Op.DIV}  # their operands may decide the sign of the result
+_TURNABLE = ODD | {ADD, SUB, MUL, DIV}  # their operands may decide the sign of the result
 
 Entry = TypeVar("Entry", covariant=True)
 
@@ -148,7 +148,7 @@ class Writer:
                 continue
             op, a, b = key
             turned = node in turned_nodes
-            if op is Op.MUL or op is Op.DIV:
+            if op is MUL or op is DIV:
                 x, y = kept[a], kept[b]
                 if ((x > 0) is not (y > 0)) is not turned:  # else the sign is right
                     if is_literal[a]:
@@ -156,14 +156,14 @@ class Writer:
                     elif is_literal[b]:
                         y = -y
                 turned = (x > 0) is not (y > 0)
-            elif op is Op.ADD or op is Op.SUB:
+            elif op is ADD or op is SUB:
                 x, y = kept[a], kept[b]
-                first, second = (x > 0) is not turned, (y > 0) is not ((op is Op.SUB) is not turned)
+                first, second = (x > 0) is not turned, (y > 0) is not ((op is SUB) is not turned)
                 if not first and not second:  # both are subtracted: store the sum with the other sign
                     turned, first, second = not turned, True, True
                 if not first:
                     x, y, second = y, x, first
-                op = Op.ADD if second else Op.SUB
+                op = ADD if second else SUB
             elif op in ODD or op in EVEN:
                 x, y = kept[a], 0
                 turned = x < 0 and op in ODD
@@ -184,7 +184,7 @@ class Writer:
             return ref
         kept = self._kept[abs(ref)]
         if kept != ref and ref not in self._written:
-            self._written[ref] = (Op.NEG, kept, 0)
+            self._written[ref] = (NEG, kept, 0)
         return ref
 
     def _as_kept(self, ref: Ref) -> Ref:
@@ -213,9 +213,9 @@ def choose_turned(
         if key.__class__ is not tuple or node in turned:
             return False
         op, a, b = key
-        if op is Op.MUL or op is Op.DIV:
+        if op is MUL or op is DIV:
             is_free = is_literal(a) or is_literal(b)
-        elif op is Op.SUB:
+        elif op is SUB:
             is_free = True
         elif op in _TURNABLE:
             is_free = False

@@ -17,12 +17,12 @@ from mpmath import mpf
 
 from mbsgen.errors import TapeError
 from mbsgen.tape.counts import count_uses, find_sums, named_values
-from mbsgen.tape.types import FUNCTIONS, Op, Sparsity, Tape
+from mbsgen.tape.types import ADD, DIV, FUNCTIONS, MUL, NEG, SUB, Op, Sparsity, Tape
 from mbsgen.targets.contract import arguments
 
 _IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
-_SUMS = (Op.ADD, Op.SUB)
-_INFIX = {Op.ADD: " + ", Op.SUB: " - ", Op.MUL: "*", Op.DIV: "/"}
+_SUMS = (ADD, SUB)
+_INFIX = {ADD: " + ", SUB: " - ", MUL: "*", DIV: "/"}
 
 
 def write_nonzeros(name: str, pattern: Sparsity) -> list[str]:
@@ -133,7 +133,7 @@ def write_body(tape: Tape, syntax: Syntax = C) -> Body:
             turning.setdefault(_bare(texts[a]), {})[op] = texts[value]
             places.append(len(statements) + 1)
             continue
-        if op is Op.ADD and b in going_on and b not in named:  # a sum that continues is first: sums commute
+        if op is ADD and b in going_on and b not in named:  # a sum that continues is first: sums commute
             a, b = b, a
         if sign is None:
             expression = _write(syntax, op, texts[a], texts[b] if op.arity == 2 else "")
@@ -191,7 +191,7 @@ def _write_number(value: mpf | float, syntax: Syntax) -> str:
 
 
 def _write(syntax: Syntax, op: Op, a: str, b: str) -> str:
-    if op is Op.NEG and op not in syntax.calls:
+    if op is NEG and op not in syntax.calls:
         return f"-{a}"
     return f"{syntax.calls[op]}({', '.join(map(_bare, (a, b)[: op.arity]))})"
 
@@ -205,7 +205,7 @@ def _write_checks(tape: Tape, syntax: Syntax, texts: Sequence[str], places: Sequ
     for g in tape.guards:
         place = max(place, places[g.value], places[g.scale])  # no guard is tested before an earlier one
         tolerance = write_literal(g.tolerance, syntax)
-        value = _write(syntax, Op.NEG, texts[g.value], "") if g.negated else _bare(texts[g.value])
+        value = _write(syntax, NEG, texts[g.value], "") if g.negated else _bare(texts[g.value])
         checks.append(Check(place, value, texts[g.scale], tolerance, g.joint))
     return tuple(checks)
 
