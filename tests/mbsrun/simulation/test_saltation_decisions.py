@@ -194,3 +194,25 @@ def test_a_motion_that_begins_with_an_impact_has_no_derivative() -> None:
             expected = "the motion begins with an impact at t = 0 s, where there is no derivative"
             assert watcher.finding == expected
     assert issubclass(SlopeError, Exception)
+
+
+def test_equations_are_kept_at_both_ends_of_steps() -> None:
+    """By the states there, first to last; steps without a mode have free joints, one for each velocity."""
+    asked: list[tuple[list[float], Segment]] = []
+
+    def project(x: Array, segment: Segment) -> Array:
+        asked.append((x.tolist(), segment))
+        return np.eye(3)
+
+    watcher = _Watcher(RK4, 3)
+    field: Any = SimpleNamespace(strike=lambda *_: None, project=project)
+    watcher.field = field
+    watcher.differentiate = lambda *_: []  # type: ignore[method-assign,assignment]
+    q, qd = np.array([[1.0], [4.0], [7.0]]), np.array([[2.0, 3.0], [5.0, 6.0], [8.0, 9.0]])
+    chunk: Any = SimpleNamespace(t=np.array([0.0, 1.0, 2.0]), q=q, qd=qd, segment=None)
+    given: Any = None
+    watcher.add(given, given, chunk)
+    assert [x for x, _ in asked] == [[1.0, 2.0, 3.0], [7.0, 8.0, 9.0]]
+    assert all(segment.modes == (0, 0) for _, segment in asked)
+    assert watcher.last is not None
+    assert watcher.last[0].tolist() == [7.0, 8.0, 9.0]
