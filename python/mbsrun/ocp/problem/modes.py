@@ -228,10 +228,17 @@ def _write_gap(law: OpenContact) -> str:
 
 
 def find_wrong_start(problem: Problem, manifest: Manifest) -> Iterator[Finding]:
-    """Find joints that a start which no link gives puts elsewhere than at their stops; places are below `start`."""
+    """Find joints that a start which no link gives puts elsewhere than at their stops, or moves the other way.
+
+    Places are below `start`.
+    """
     for law in manifest.open_joints:
-        limit = _find_limit(law, dict(problem.modes)[law.name])
-        i = manifest.positions.index(law.name)
+        mode, k = dict(problem.modes)[law.name], _find_index(manifest, law)
+        way, speed = {FORWARD: 1, BACKWARD: -1}.get(mode, 0), problem.start_qd[k]
+        if way * speed < 0 and len(problem.start_q) + k not in problem.free_start:
+            remedy = f"start at {'least' if way > 0 else 'most'} at 0, or free it by null"
+            yield Finding(("velocity", law.name), f"{law.name} starts at {speed:g}, and moves {mode} here", remedy)
+        limit, i = _find_limit(law, mode), manifest.positions.index(law.name)
         if limit is not None and i not in problem.free_start and abs(problem.start_q[i] - limit) > SAME:
             finding = f"{law.name} starts at {problem.start_q[i]:g}, and is at its stop at {limit:g} in this phase"
             yield Finding(("pose", law.name), finding, f"start at {limit:g}, or free it by null")

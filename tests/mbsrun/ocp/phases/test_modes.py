@@ -195,6 +195,19 @@ def test_a_motion_that_friction_would_hold_is_told(tmp_path: Path) -> None:
     assert followed.error is None
 
 
+@pytest.mark.parametrize(("mode", "speed", "remedy"), [("forward", -0.1, "least"), ("backward", 0.1, "most")])
+def test_a_start_against_its_mode_is_refused(mode: str, speed: float, remedy: str, tmp_path: Path) -> None:
+    text = SLIDING.replace("forward", mode)
+    for given, refused in ((speed, True), (-speed, False)):
+        file = write(tmp_path, STUCK, text.replace("velocity: {block: 0}", f"velocity: {{block: {given}}}"))
+        if refused:
+            finding = f"start.velocity.block: block starts at {speed:g}, and moves {mode} here; start at {remedy} at 0"
+            with pytest.raises(InputError, match=finding):
+                read_phased_problem(file, load_on_demand)
+        else:
+            read_phased_problem(file, load_on_demand)
+
+
 FAULTS = {
     "unknown": (
         "{sole: forward}",
