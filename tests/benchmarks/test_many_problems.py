@@ -9,7 +9,8 @@ def test_a_family_is_measured_by_all_ways() -> None:
     found = measure(swing_ups(3))
     assert (found.count, found.solved) == (3, 3)
     assert min(found.alone, found.cases, found.threads, found.solver, found.ipopt) > 0
-    page = write([found], "a machine")
+    page = write([found], "a machine", "It was busy.")
+    assert "It was busy." in page
     assert "wrote this page: a machine." in page
     assert f"| cart-pole swing-ups | 3 | 3 | {found.variables} |" in page
 
