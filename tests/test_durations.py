@@ -38,12 +38,12 @@ def test_a_function_has_the_time_of_its_cases_and_of_what_it_shares(tmp_path: Pa
         {"test": "t.py::test_a[1]", "seconds": 2.0, "uses": ["t.py::made"], "fixtures": {"t.py::made": 3.0}},
         {"test": "t.py::test_a[2]", "seconds": 0.5, "uses": ["t.py::made"], "fixtures": {}},
         {"test": "t.py::test_b", "seconds": 0.25, "uses": ["t.py::made", "t.py::other"], "fixtures": {}},
-        {"test": "t.py::test_c", "seconds": 0.125, "uses": [], "fixtures": {}},
+        {"test": "t.py::test_c", "seconds": 0.0625, "uses": [], "fixtures": {}},
     ]
     file = tmp_path / "measured.jsonl"
     file.write_text("".join(json.dumps(row) + "\n" for row in rows), "utf-8")
     found = durations.read_measured([file])
-    assert found == {"t.py::test_a": 6.5, "t.py::test_b": 4.25, "t.py::test_c": 0.125}
+    assert found == {"t.py::test_a": 6.5, "t.py::test_b": 4.25, "t.py::test_c": 0.0625}
     durations.write_durations(found, tmp_path / "list.tsv")
     assert durations.read_durations(tmp_path / "list.tsv") == {"t.py::test_a": 6.5, "t.py::test_b": 4.2}
 
