@@ -17,6 +17,7 @@ from mbsrun.results import Numbers
 from mbsrun.simulation.formulation import Formulation
 
 Array = NDArray[np.float64]
+Dense = Callable[[Array, NDArray[np.intp]], tuple[Array, Array]]  # within steps
 
 DRIFT = 0.01  # of the energy that is exchanged; a larger drift brings a warning
 STILL = 1e-9  # of kinetic energy: a smaller drift brings no warning
@@ -341,7 +342,7 @@ class Chunk:
     t: Array  # (k + 1,)
     q: Array  # (k + 1, nq)
     qd: Array  # (k + 1, n)
-    dense: Callable[[Array, NDArray[np.intp]], tuple[Array, Array]] | None = None
+    dense: Dense | None = None
     # times (j,) and the steps (j,) that they lie in, from 0 -> q, qd (j, n) by the method's own interpolation
     stages: Stages | None = None
     segment: Segment | None = None  # of a model with stops or dry friction, from event to event

@@ -20,8 +20,8 @@ from mbsrun.limits import Allowance, Limits
 from mbsrun.models import Extent
 from mbsrun.simulation import Kind, Motion, Settings, simulate
 from mbsrun.simulation.drive import Piece, control, express, hold, hold_steps
-from mbsrun.simulation.integration import touching
 from mbsrun.simulation.integration.events import Course
+from mbsrun.simulation.integration.touching import TouchingCourse
 from mbsrun.simulation.motion import Chunk, HaltError
 from tests.mbsrun.simulation.conftest import MODELS
 from tests.mbsrun.simulation.planar import HALF, NEEDED, PLANAR, POINT, ROD, grip
@@ -88,14 +88,14 @@ def test_a_ball_bounces_up_to_its_accumulation_point(make: Make) -> None:
 
 def test_an_event_at_once_is_no_step(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:
     """A step of no length to an event changes neither the motion nor its times, and loses no impact."""
-    look, told = touching._Course.look, iter([True])
+    look, told = TouchingCourse.look, iter([True])
 
-    def look_at_once(self: touching._Course, *given: Any) -> tuple[float, Array] | None:
+    def look_at_once(self: TouchingCourse, *given: Any) -> tuple[float, Array] | None:
         return (0.0, given[4]) if given[3] > 0.1 and next(told, False) else look(self, *given)
 
     kernels, start = grip(make(DISC), 0, 0.5), ([0, 1 + RADIUS, 0], [0.3, 0, 0.2], 0.8)
     plain = move(kernels, *start)
-    monkeypatch.setattr(touching._Course, "look", look_at_once)
+    monkeypatch.setattr(TouchingCourse, "look", look_at_once)
     found = move(kernels, *start)
     assert (np.diff(found.t) > 0).all()
     assert found.q == pytest.approx(plain.q, abs=1e-12)

@@ -15,7 +15,7 @@ from mbsrun.simulation import Kind
 from mbsrun.simulation.formulation import Formulation
 from mbsrun.simulation.integration.contacts import Mode, State, Touch
 from mbsrun.simulation.integration.tableaus import EULER, RK4, RK45, Pair
-from mbsrun.simulation.integration.touching import Bound, Guard, _Course, _lift, _name_change
+from mbsrun.simulation.integration.touching import Bound, Guard, TouchingCourse, _lift, _name_change
 from mbsrun.simulation.motion import Chunk, Event, HaltError, Impacts, Settings
 from tests.mbsrun.simulation.particles import Floor, Particles, drop, wait
 
@@ -25,15 +25,15 @@ PIECE = wait(0.0, 1.0)
 INSIDE = KernelError("touching", Place(None, None, 1), 0)
 
 
-def course(dynamics: Any, pair: Pair = RK4, **settings: Any) -> _Course:
-    return _Course(dynamics, pair, Settings(1.0, **settings))
+def course(dynamics: Any, pair: Pair = RK4, **settings: Any) -> TouchingCourse:
+    return TouchingCourse(dynamics, pair, Settings(1.0, **settings))
 
 
 def mode(*states: State, way: tuple[float, float, float] = (1.0, 0.0, 0.0)) -> Mode:
     return Mode(states, np.tile(way, (len(states), 1)), np.ones(len(states)))
 
 
-def events(found: _Course) -> list[tuple[Kind, float, float]]:
+def events(found: TouchingCourse) -> list[tuple[Kind, float, float]]:
     return [(event.kind, event.before, event.after) for event in found.passed]
 
 
@@ -129,7 +129,7 @@ def test_after_a_hundred_impacts_at_one_time_nothing_rebounds_and_a_thousand_are
         seen.append(bounces)
         return given[4], []
 
-    monkeypatch.setattr(_Course, "hit", hit)
+    monkeypatch.setattr(TouchingCourse, "hit", hit)
     with pytest.raises(HaltError, match="1000 impacts at one time"):
         course(drop()).settle(0.0, PIECE, np.zeros(2), np.array([0.0, -1.0]))
     assert bounces == [True] * 100 + [False] * 900
@@ -357,20 +357,20 @@ def test_steps_grow_and_shrink_with_their_error(monkeypatch: pytest.MonkeyPatch)
     x = np.array([0.0, 1.0, 0.0, 0.0])
     order = RK45.order
     for error, factor in ((0.0, 10.0), (1e-30, 10.0), (1.0, 0.9), (0.5, 0.9 * 0.5 ** (-1 / order))):
-        monkeypatch.setattr(_Course, "estimate", lambda *_, error=error: error)
+        monkeypatch.setattr(TouchingCourse, "estimate", lambda *_, error=error: error)
         h, _ = motion.advance(PIECE, mode(OPEN), 0.0, x, 0.01, fixed=False)
         assert h == 0.01
         assert motion.length == pytest.approx(0.01 * factor, rel=1e-14)
         assert motion.dynamics.effort.rejected is None
     for error, factor in ((1e9, 0.2), (np.nan, 0.25), (np.inf, 0.25), (2.0, 0.9 * 2.0 ** (-1 / order))):
         told = iter([error, 1.0])
-        monkeypatch.setattr(_Course, "estimate", lambda *_, told=told: next(told))
+        monkeypatch.setattr(TouchingCourse, "estimate", lambda *_, told=told: next(told))
         motion.dynamics.effort.rejected = None
         h, y = motion.advance(PIECE, mode(OPEN), 0.0, x, 0.01, fixed=False)
         assert h == pytest.approx(0.01 * factor, rel=1e-14)
         assert y == pytest.approx([0, 1 - 5 * h * h, 0, -10 * h])
         assert motion.dynamics.effort.rejected == 1
-    monkeypatch.setattr(_Course, "estimate", lambda *_: np.nan)
+    monkeypatch.setattr(TouchingCourse, "estimate", lambda *_: np.nan)
     assert motion.advance(PIECE, mode(OPEN), 0.0, x, 0.01, fixed=True)[0] == 0.01
 
 
@@ -379,11 +379,11 @@ def test_a_step_too_short_for_the_time_ends_the_motion(time: float, monkeypatch:
     """1e-14 s, or 1e-14 of the time."""
     tried: list[float] = []
 
-    def refuse(_self: _Course, h: float, *_: Any) -> float:
+    def refuse(_self: TouchingCourse, h: float, *_: Any) -> float:
         tried.append(h)
         return float(np.nan)
 
-    monkeypatch.setattr(_Course, "estimate", refuse)
+    monkeypatch.setattr(TouchingCourse, "estimate", refuse)
     with pytest.raises(HaltError, match="too short to advance the time"):
         course(drop(), RK45).advance(wait(0, 200), mode(OPEN), time, np.array([0.0, 1, 0, 0]), 1e-3, fixed=False)
     least = 1e-14 * max(1.0, time)
@@ -484,7 +484,7 @@ def test_a_bound_that_is_0_at_the_start_is_left_before_it_is_looked_for() -> Non
     assert inner == pytest.approx(0.3 + np.sqrt(0.09 + 0.18), rel=1e-14)
 
 
-def go(motion: _Course, piece: Any, x: list[float]) -> list[Chunk]:
+def go(motion: TouchingCourse, piece: Any, x: list[float]) -> list[Chunk]:
     motion.mode = mode(OPEN) if motion.mode is None else motion.mode
     return list(motion.run(piece, np.array(x[:2]), np.array(x[2:]), allowance()))
 
@@ -528,15 +528,15 @@ def test_steps_into_each_other_are_quartered_until_the_time_stands(
     time: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Kernels fail for points far inside each other: a step of fixed length ends there, others are retried."""
-    look, tried = _Course.look, list[float]()
+    look, tried = TouchingCourse.look, list[float]()
 
-    def fail(self: _Course, *given: Any) -> Any:
+    def fail(self: TouchingCourse, *given: Any) -> Any:
         tried.append(given[5])
         if given[5] > 1e-5:
             raise INSIDE
         return look(self, *given)
 
-    monkeypatch.setattr(_Course, "look", fail)
+    monkeypatch.setattr(TouchingCourse, "look", fail)
     motion = course(drop(), RK45)
     go(motion, wait(time, time + 3e-6), [0.0, 100.0, 0.0, 0.0])
     tried.clear()
@@ -544,11 +544,11 @@ def test_steps_into_each_other_are_quartered_until_the_time_stands(
     go(motion, wait(time, time + 1e-3), [0.0, 100.0, 0.0, 0.0])[0]
     assert tried[:5] == pytest.approx([1e-3 / 4**k for k in range(5)], rel=1e-9)
 
-    def never(_self: _Course, *given: Any) -> Any:
+    def never(_self: TouchingCourse, *given: Any) -> Any:
         tried.append(given[5])
         raise INSIDE
 
-    monkeypatch.setattr(_Course, "look", never)
+    monkeypatch.setattr(TouchingCourse, "look", never)
     with pytest.raises(KernelError):
         go(course(drop(), RK45), wait(time, time + 1.0), [0.0, 100.0, 0.0, 0.0])
     least = 1e-14 * max(1.0, time)

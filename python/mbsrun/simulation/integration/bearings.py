@@ -87,6 +87,16 @@ class Rub:
 
 
 @dataclass(frozen=True, eq=False)
+class Rest:
+    """One state in which joints are at rest, with the torques and coefficients (n,) that count there."""
+
+    state: State
+    still: NDArray[np.intp]  # these joints
+    torque: Array
+    grip: Array
+
+
+@dataclass(frozen=True, eq=False)
 class Bearings:
     """The joints with dry friction of a tree."""
 
@@ -218,7 +228,7 @@ class Bearings:
         starts = list(released)
         while True:
             torque[starts], grip[starts] = joints.starting[starts], self.starting[starts]
-            found = self._search(state, modes, still, torque, grip, released)
+            found = self._search(Rest(state, still, torque, grip), modes, released)
             if not found and released:
                 return self.settle(state, qd, {})
             if len(found) != 1:
@@ -229,15 +239,10 @@ class Bearings:
                 return found[0]
 
     def _search(
-        self,
-        state: State,
-        modes: NDArray[np.int_],
-        still: NDArray[np.intp],
-        torque: Array,
-        grip: Array,
-        released: Mapping[int, int],
+        self, rest: Rest, modes: NDArray[np.int_], released: Mapping[int, int]
     ) -> list[tuple[NDArray[np.int_], Rub]]:
         """Try all combinations of sticking and sliding of joints at rest; list the ones that differ in the motion."""
+        state, still = rest.state, rest.still
         every = (int(Mode.STICKS), int(Mode.FORWARD), int(Mode.BACKWARD))
         options = [(released[i],) if i in released else every for i in still.tolist()]
         if np.prod([len(x) for x in options]) > TRIED:
@@ -247,22 +252,15 @@ class Bearings:
         for chosen in itertools.product(*options):
             tried = modes.copy()
             tried[still] = chosen
-            for rub in self._try(state, tried, still, torque, grip, inertia):
+            for rub in self._try(rest, tried, inertia):
                 noise = SAME * np.abs(rub.qdd).max() + NEAR * (inertia @ np.abs(state.f[0])).max()
                 if all(np.abs(rub.qdd - other.qdd).max() > noise for _, other in found):
                     found.append((tried, rub))
         return found
 
-    def _try(
-        self,
-        state: State,
-        modes: NDArray[np.int_],
-        still: NDArray[np.intp],
-        torque: Array,
-        grip: Array,
-        inertia: Array,
-    ) -> list[Rub]:
+    def _try(self, rest: Rest, modes: NDArray[np.int_], inertia: Array) -> list[Rub]:
         """Return the solutions in modes whose conditions hold; inertia: the sizes of the entries of M^-1."""
+        state, still, torque, grip = rest.state, rest.still, rest.torque, rest.grip
         pattern = self.read(modes)
         ways, held, starts = pattern.ways, pattern.held, still[modes[still] != Mode.STICKS]
         good = []

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbsrun.kernel import KernelError
-from mbsrun.limits import Allowance
 from mbsrun.simulation.drive import Piece
 from mbsrun.simulation.dynamics import Dynamics
 from mbsrun.simulation.integration.bearings import Bearings, LoadError, Pattern, Rub
@@ -49,20 +48,7 @@ class Modes:
         return bool((self.numbers == Mode.STICKS).all())
 
 
-def integrate(
-    pair: Pair, dynamics: Dynamics, piece: Piece, q: Array, qd: Array, settings: Settings, allowance: Allowance
-) -> Iterator[Chunk]:
-    """Go through a piece of the inputs; yield the steps.
-
-    Raises HaltError where a kernel fails, friction allows no motion or several, or the allowance is used up.
-    """
-    if "bearings" not in dynamics.kept:
-        dynamics.kept["bearings"] = _Course(dynamics, pair, settings)
-    course: _Course = dynamics.kept["bearings"]
-    yield from course.follow(piece, q, qd, allowance)
-
-
-class _Course(Stepwise[Modes, Guard]):
+class RubbingCourse(Stepwise[Modes, Guard]):
     """A motion of joints that stick and slide under their loads."""
 
     switches = "dry friction"
@@ -142,11 +128,6 @@ class _Course(Stepwise[Modes, Guard]):
         t, x = np.array(times), np.array(states)
         q, qd = np.split(x, [self.dynamics.places], axis=1)
 
-        def dense(at: Array, step: NDArray[np.intp]) -> tuple[Array, Array]:
-            ends = self.step(piece, mode, t[step], x[step], at - t[step])[0]
-            places, speeds = np.split(ends, [self.dynamics.places], axis=1)
-            return places, speeds
-
         def push(at: Array, places: Array, speeds: Array) -> tuple[Array, Array, Array]:
             found = self.rub(piece, mode, at, np.hstack((places, speeds)))
             lost = (self.bearings.rub(speeds) * found.loads * np.abs(speeds)).sum(axis=1)
@@ -155,4 +136,4 @@ class _Course(Stepwise[Modes, Guard]):
         segment = Segment(tuple(mode.numbers.tolist()), self.passed, push=push)
         if len(t) > 1:
             self.passed, self.guards = (), ()
-        return Chunk(t, q, qd, dense, segment=segment)
+        return Chunk(t, q, qd, self.interpolate(piece, mode, t, x), segment=segment)

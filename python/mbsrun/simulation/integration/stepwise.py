@@ -21,7 +21,7 @@ from mbsrun.simulation.formulation import Formulation
 from mbsrun.simulation.integration.events import Course
 from mbsrun.simulation.integration.steps import count_steps
 from mbsrun.simulation.integration.tableaus import Pair
-from mbsrun.simulation.motion import Chunk, Halt, HaltError, Settings
+from mbsrun.simulation.motion import Chunk, Dense, Halt, HaltError, Settings
 
 Array = NDArray[np.float64]
 
@@ -81,6 +81,16 @@ class Stepwise(Course, Generic[M, G]):
     @abstractmethod
     def gather(self, piece: Piece, mode: M, times: list[float], states: list[Array]) -> Chunk:
         """Bundle steps with the motion within them."""
+
+    def interpolate(self, piece: Piece, mode: M, t: Array, x: Array) -> Dense:
+        """Return the motion within steps from states at times: by steps from where each of them begins."""
+
+        def dense(at: Array, step: NDArray[np.intp]) -> tuple[Array, Array]:
+            ends = self.step(piece, mode, t[step], x[step], at - t[step])[0]
+            q, qd = np.split(ends, [self.dynamics.places], axis=1)
+            return q, qd
+
+        return dense
 
     def finish(self, _mode: M, x: Array) -> Array:
         """Put states back on the equations of a mode."""

@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from mbsrun.limits import Allowance
 from mbsrun.simulation.drive import Piece
 from mbsrun.simulation.dynamics import Dynamics
-from mbsrun.simulation.integration import explicit, rubbing, touching
+from mbsrun.simulation.integration import explicit
 from mbsrun.simulation.integration.complementarity import (
     NOISE,
     WITHIN,
@@ -42,7 +42,9 @@ from mbsrun.simulation.integration.events import MANY, MOST, Course
 from mbsrun.simulation.integration.explicit import Brakes, Pair, Plant
 from mbsrun.simulation.integration.holding import LOCKED, Forces, Inertia
 from mbsrun.simulation.integration.joints import HELD, SLACK, STILL, TOUCH, Joints, name_change
+from mbsrun.simulation.integration.rubbing import RubbingCourse
 from mbsrun.simulation.integration.steps import count_steps
+from mbsrun.simulation.integration.touching import TouchingCourse
 from mbsrun.simulation.motion import (
     PLACE,
     SPEED,
@@ -74,18 +76,14 @@ def integrate(
 
     Raises HaltError where a kernel fails, switches do not end, or the allowance is used up.
     """
-    if dynamics.kernels.manifest.rigid:
-        yield from touching.integrate(pair, dynamics, piece, q, qd, settings, allowance)
-        return
-    if dynamics.kernels.manifest.loaded:
-        yield from rubbing.integrate(pair, dynamics, piece, q, qd, settings, allowance)
-        return
-    if not dynamics.kernels.manifest.switching:
+    manifest = dynamics.kernels.manifest
+    if not (manifest.rigid or manifest.loaded or manifest.switching):
         yield from explicit.integrate(pair, dynamics, piece, q, qd, settings, allowance)
         return
-    if "switching" not in dynamics.kept:
-        dynamics.kept["switching"] = _Course(dynamics, pair, settings)
-    course: _Course = dynamics.kept["switching"]
+    if "course" not in dynamics.kept:
+        make = TouchingCourse if manifest.rigid else RubbingCourse if manifest.loaded else _Course
+        dynamics.kept["course"] = make(dynamics, pair, settings)
+    course: Course = dynamics.kept["course"]
     yield from course.follow(piece, q, qd, allowance)
 
 

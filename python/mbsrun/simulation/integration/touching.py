@@ -15,7 +15,6 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
-from mbsrun.limits import Allowance
 from mbsrun.simulation.drive import Piece
 from mbsrun.simulation.dynamics import Dynamics
 from mbsrun.simulation.integration.contacts import Contacts, Loads, Mode, ParadoxError, Search, State, Touch
@@ -74,20 +73,7 @@ class Passage:
     strikes: tuple[Strike, ...] = ()
 
 
-def integrate(
-    pair: Pair, dynamics: Dynamics, piece: Piece, q: Array, qd: Array, settings: Settings, allowance: Allowance
-) -> Iterator[Chunk]:
-    """Go through a piece of the inputs; yield the steps.
-
-    Raises HaltError where a kernel fails, contacts allow no motion or several, or the allowance is used up.
-    """
-    if "contacts" not in dynamics.kept:
-        dynamics.kept["contacts"] = _Course(dynamics, pair, settings)
-    course: _Course = dynamics.kept["contacts"]
-    yield from course.follow(piece, q, qd, allowance)
-
-
-class _Course(Stepwise[Mode, Guard]):
+class TouchingCourse(Stepwise[Mode, Guard]):
     """A motion of points that touch, stick, slip and leave."""
 
     switches = "contacts"
@@ -343,11 +329,6 @@ class _Course(Stepwise[Mode, Guard]):
         t, x = np.array(times), np.array(states)
         q, qd = np.split(x, [self.dynamics.places], axis=1)
 
-        def dense(at: Array, step: NDArray[np.intp]) -> tuple[Array, Array]:
-            ends = self.step(piece, mode, t[step], x[step], at - t[step])[0]
-            places, speeds = np.split(ends, [self.dynamics.places], axis=1)
-            return places, speeds
-
         def push(at: Array, places: Array, speeds: Array) -> tuple[Array, Array, Array]:
             _, touch, loads = self.rate(piece, mode, at, np.hstack((places, speeds)))
             force = loads.normal[..., None] * touch.normal + loads.friction
@@ -358,7 +339,7 @@ class _Course(Stepwise[Mode, Guard]):
         segment = Segment((0,) * self.dynamics.size, self.passed, self.loss, push=push, passage=passage)
         if len(t) > 1:
             self.passed, self.loss, self.guards, self.strikes = (), 0.0, (), ()
-        return Chunk(t, q, qd, dense, segment=segment)
+        return Chunk(t, q, qd, self.interpolate(piece, mode, t, x), segment=segment)
 
 
 def _lift(J: Array, M: Array, right: Array) -> Array:
