@@ -2,6 +2,7 @@
 #include "mbs_explicit.h"
 #include "mbs_entries.h"
 #include "mbs_least.h"
+#include "mbs_loads.h"
 
 #include <math.h>
 
@@ -35,6 +36,7 @@ typedef struct {
     casadi_real *M;      /* n x n: its Cholesky factor for free joints */
     casadi_real *x, *g, *saved, *sum, *k;
     mbs_least least;
+    mbs_load_room load;
     const casadi_real *inputs, *courses; /* rows for each stage, or NULL */
     casadi_int row_of_step;
     casadi_real last;  /* the smallest pivot of J, relative to the largest: small near a singular pose; */
@@ -79,12 +81,13 @@ casadi_int mbs_explicit_reals(const mbs_explicit *p, casadi_int stages)
 {
     const casadi_int size = p->nq + p->n;
     const casadi_int guards = p->modes ? 2 * size + 6 * p->modes->guards + p->n : 0;
-    return 2 * p->e * p->n + p->n * p->n + 5 * p->e + 4 * p->n + size * (stages + 1) + guards;
+    const casadi_int loads = p->modes && p->modes->loads ? mbs_loads_reals(p->modes->loads, p->n) : 0;
+    return 2 * p->e * p->n + p->n * p->n + 5 * p->e + 4 * p->n + size * (stages + 1) + guards + loads;
 }
 
 casadi_int mbs_explicit_integers(const mbs_explicit *p)
 {
-    return 2 * p->n + 3 * p->e;
+    return 2 * p->n + 3 * p->e + (p->modes && p->modes->loads ? 2 * p->n : 0);
 }
 
 static mbs_run open_run(const mbs_explicit *p, const mbs_manner *how, casadi_real *reals, casadi_int *integers,
@@ -101,6 +104,8 @@ static mbs_run open_run(const mbs_explicit *p, const mbs_manner *how, casadi_rea
     r.first = r.k + (p->nq + p->n) * how->stages, r.tried = r.first + p->nq + p->n, r.start = r.tried + p->nq + p->n;
     r.end = r.start + (p->modes ? 2 * p->modes->guards : 0), r.between = r.end + (r.end - r.start);
     r.hold = r.between + (r.end - r.start);
+    if (p->modes && p->modes->loads)
+        r.load = mbs_open_loads(p->modes->loads, p->n, r.hold + p->n, r.least.column + p->e);
     r.lowest = r.fraction = 0, r.is_watching = 0;
     for (i = 0, k = 0; i < p->n; ++i)
         if (k < p->d && p->driven[k] == i)
@@ -405,6 +410,85 @@ static casadi_real brake(const mbs_explicit *p, casadi_int i)
     return -m->sign[i] * (m->torque[i] + (m->fall[i] != 0 ? m->fall[i] * exp(-x * x) : 0));
 }
 
+/* Write the forces of bearings at accelerations (n), at the pose whose turns are there. */
+static int bear(mbs_run *r, const casadi_real *qdd, casadi_real *forces)
+{
+    casadi_int k;
+    int status;
+    for (k = 0; k < r->p->n; ++k)
+        r->p->rest[k] = qdd[k];
+    status = call(r->p->modes->loads->reactions);
+    if (!status)
+        mbs_bear(r->p->modes->loads, &r->load, forces);
+    return status;
+}
+
+/* Write the rotations of joints' frames. */
+static int turn(mbs_run *r)
+{
+    const mbs_loads *m = r->p->modes->loads;
+    const int status = call(m->poses);
+    mbs_fill_entries(m->turn, 3 * m->axes, r->load.turn);
+    return status;
+}
+
+/* Write the accelerations by a load of 1 on a sliding joint. */
+static void press(mbs_run *r, casadi_int joint, casadi_real *column)
+{
+    const mbs_explicit *p = r->p;
+    const mbs_modes *m = p->modes;
+    const casadi_real s = p->qd[joint] * m->slowness[joint], fall = m->loads->fall[joint];
+    const casadi_real force = -m->sign[joint] * (m->loads->coefficient[joint] + (fall != 0 ? fall * exp(-s * s) : 0));
+    casadi_real *y = r->x + p->n;
+    casadi_int k;
+    for (k = 0; k < r->free; ++k)
+        y[k] = r->moves[k] == joint ? force : 0;
+    mbs_cholesky_forward(r->free, r->M, y);
+    mbs_cholesky_backward(r->free, r->M, y);
+    for (k = 0; k < p->n; ++k)
+        column[k] = 0;
+    for (k = 0; k < r->free; ++k)
+        column[r->moves[k]] = y[k];
+}
+
+/* Add the friction by loads to the accelerations in x, with the factor of the mass matrix. Forces of bearings are affine in
+ * the accelerations: each column of D is a difference, by a load of the size of the reactions. */
+static int rub(mbs_run *r)
+{
+    const mbs_explicit *p = r->p;
+    const mbs_loads *m = p->modes->loads;
+    mbs_load_room *l = &r->load;
+    const casadi_int n = p->n, size = 3 * m->bearings;
+    casadi_real scale;
+    casadi_int i, j, k;
+    int status;
+    for (i = 0, l->d = 0; i < n; ++i)
+        if (p->modes->sign[i] != 0 && m->hold[i] > 0)
+            l->sliding[l->d++] = i;
+    if (!l->d)
+        return 0;
+    if ((status = turn(r)) != 0 || (status = bear(r, r->x, l->c)) != 0)
+        return status;
+    scale = measure(m->force.entries, m->force.nonzeros);
+    scale = scale > 0 ? scale : 1;
+    for (j = 0; j < l->d; ++j) {
+        casadi_real *column = l->column + j * n, *D = l->D + j * size;
+        press(r, l->sliding[j], column);
+        for (k = 0; k < n; ++k)
+            r->saved[k] = r->x[k] + scale * column[k];
+        if ((status = bear(r, r->saved, D)) != 0)
+            return status;
+        for (k = 0; k < size; ++k)
+            D[k] = (D[k] - l->c[k]) / scale;
+    }
+    if ((status = mbs_find_loads(m, l)) != 0)
+        return status;
+    for (j = 0; j < l->d; ++j)
+        for (k = 0; k < n; ++k)
+            r->x[k] += l->N[j] * l->column[j * n + k];
+    return 0;
+}
+
 /* Compute accelerations (n, in x) from M, c, J and gamma, with Baumgarte's terms, by the joints' own ones that loops change
  * least in the norm of M. */
 static int solve(mbs_run *r)
@@ -430,7 +514,7 @@ static int solve(mbs_run *r)
     for (k = 0; k < f; ++k)
         r->x[r->moves[k]] = r->x[n + k];
     if (!e)
-        return 0;
+        return p->modes && p->modes->loads ? rub(r) : 0;
     if ((status = differentiate(r)) != 0)
         return status;
     if (r->how->keeping == MBS_BAUMGARTE && ((status = call(p->closure)) != 0 || (status = call(p->rates)) != 0))
@@ -539,6 +623,7 @@ static int guard(mbs_run *r, const casadi_real *rate, casadi_real *values)
     const mbs_explicit *p = r->p;
     const mbs_modes *m = p->modes;
     const casadi_real *hold = p->e ? r->hold : p->r;
+    const mbs_loads *loads = m->loads;
     casadi_int k;
     int status = 0, is_held = 0;
     for (k = 0; k < m->guards; ++k)
@@ -549,11 +634,15 @@ static int guard(mbs_run *r, const casadi_real *rate, casadi_real *values)
         return status;
     if (is_held && p->e && (status = subtract_loops(r)) != 0)
         return status;
+    if (is_held && loads && ((status = turn(r)) != 0 || (status = bear(r, rate + p->nq, r->load.c)) != 0))
+        return status;
     for (k = 0; k < m->guards; ++k) {
         const casadi_int i = m->joint[k];
         const casadi_real x = m->kind[k] == MBS_PLACE ? p->q[m->place[k]] : m->kind[k] == MBS_SPEED ? p->qd[i] : hold[i];
         const casadi_real slope = m->kind[k] == MBS_PLACE ? p->qd[i] : m->kind[k] == MBS_SPEED ? rate[p->nq + i] : 0;
         values[k] = m->side[k] * (x - m->level[k]);
+        if (loads && m->kind[k] == MBS_FORCE && loads->hold[i] > 0)
+            values[k] += loads->hold[i] * mbs_add_loads(loads, r->load.c, i);
         values[m->guards + k] = m->side[k] * slope;
     }
     return 0;
@@ -953,7 +1042,7 @@ static int begin_next(mbs_run *r, casadi_real t, const casadi_real *y, int is_kn
 static int may_retry(int status)
 {
     return status == MBS_RUNAWAY || status == MBS_OPEN || status == MBS_BRANCHED || status == MBS_DEPENDENT
-           || status > 0;
+           || status == MBS_LOADED || status > 0;
 }
 
 static int run_adaptive(mbs_run *r, casadi_real end, casadi_real *h, casadi_int steps, casadi_real *times,
@@ -968,6 +1057,8 @@ static int run_adaptive(mbs_run *r, casadi_real end, casadi_real *h, casadi_int 
         const casadi_real t = times[r->out->steps], left = end - t;
         const casadi_real *x = states + size * r->out->steps;
         casadi_real *y = states + size * (r->out->steps + 1), length = *h, error = 0, factor;
+        if (r->p->modes && r->p->modes->longest > 0 && length > r->p->modes->longest)
+            length = r->p->modes->longest;
         if (length >= 0.99 * left)
             length = left;
         else if (2 * length > left)

@@ -49,6 +49,7 @@ extern "C" {
 #define MBS_OPEN (-4)      /* a loop cannot be closed */
 #define MBS_BRANCHED (-5)  /* closing a loop changes the velocities by more than a step may */
 #define MBS_LONG (-8)      /* a motion of a series takes more steps than it may */
+#define MBS_LOADED (-9)    /* friction by the load of joints allows no motion, or several, or it is not known */
 #define MBS_DEPENDENT (-6) /* equations of a loop contradict each other here: its Jacobian has lost its rank */
 
 /* A kernel with its lists of arguments; f is NULL where there is none. */
@@ -64,6 +65,18 @@ typedef struct {
     casadi_int entries;
     const casadi_int *place;
 } mbs_entries;
+
+/* More friction by the forces that bearings carry across their axes: of a sliding joint -sign (coefficient + fall
+ * exp(-(qd/speed)^2)) N, with the sum N of the sizes of its bearings' forces; one that is held bears `hold` N more. */
+typedef struct {
+    casadi_int bearings, joints, axes; /* columns of `force`, and of `turn` */
+    const casadi_int *owner, *frame;           /* of each bearing: the entry of qd; its column of `force` */
+    const casadi_real *by_force, *by_moment;   /* 3 x 3 each: its force by the joint's force and moment, in its frame */
+    const casadi_real *coefficient, *fall, *hold; /* n */
+    mbs_entries force, moment; /* 3 x joints: where `reactions` writes, in axes of the base, at the accelerations `rest` */
+    mbs_entries turn;          /* 3 x axes: where `poses` writes rotations into the base */
+    mbs_call reactions, poses;
+} mbs_loads;
 
 /* The joints that are held, the friction -sign (torque + fall exp(-(qd/speed)^2)) of sliding ones, and guards
  * side (x - level) >= 0. Accelerations are no results of `direct` then. */
@@ -83,6 +96,8 @@ typedef struct {
     casadi_int bounces;               /* written: how many; */
     casadi_int *row, *guard;          /* of each, the row with the state after it, and the guard that fell, */
     casadi_real *impulse;             /* and the impulse away from the stop */
+    casadi_real longest;              /* no step by a tolerance is longer; 0: any may be */
+    const mbs_loads *loads;           /* of a tree; or NULL */
 } mbs_modes;
 
 typedef struct {

@@ -658,6 +658,7 @@ def test_what_happened_at_a_time_waits_for_a_step() -> None:
         locking=np.zeros(0, dtype=np.intp),
         holding=np.zeros(1),
         is_locked=False,
+        push=lambda _: None,
         dynamics=SimpleNamespace(places=1),
         plant=SimpleNamespace(make_dense=lambda *_: None),
     )

@@ -34,6 +34,7 @@ from numpy.typing import NDArray
 from mbsgen.errors import MbsError
 from mbsgen.manifest import BearingLoad
 from mbsrun.simulation.dynamics import Dynamics
+from mbsrun.simulation.integration.explicit import Loads
 from mbsrun.simulation.integration.joints import Joints
 from mbsrun.simulation.motion import Mode
 
@@ -128,6 +129,19 @@ class Bearings:
             np.array(frame, dtype=np.intp),
             np.array(parts)[:, None, None] * across,
             np.array(levers)[:, None, None] * np.cross(a[:, None], np.eye(3)).transpose(0, 2, 1),
+        )
+
+    def lay(self) -> Loads:
+        """Return the numbers as C functions take them."""
+        fall = np.where(self.joints.stribeck > 0, self.static - self.coefficient, 0.0)
+        return Loads(
+            self.owner.tolist(),
+            self.frame.tolist(),
+            self.by_force,
+            self.by_moment,
+            self.coefficient,
+            fall,
+            self.static,
         )
 
     @property

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mbsgen.manifest import Argument
 from mbsrun.closure import GAP
 from mbsrun.kernel import find_place
 from mbsrun.limits import Allowance, LimitError
@@ -39,6 +40,7 @@ STEPS = 1024  # taken in C at a time
 FREE_STEPS = 128  # the same by a tolerance: each may take many attempts
 BOUNCING_STEPS = 1024  # the same, where impacts are passed on the way
 RUNAWAY, STOPPED, SHORT, OPEN, BRANCHED, DEPENDENT, EVENT = -1, -2, -3, -4, -5, -6, -7  # the C functions' statuses
+LOADED = -9
 KEEPING = {  # the C functions' numbers
     Keeping.PROJECTION: 1,
     Keeping.MASS_PROJECTION: 2,
@@ -48,13 +50,20 @@ KEEPING = {  # the C functions' numbers
 
 MOST_GUARDS = 4  # of a joint
 
-_RESULT, _TABLEAU, _MODE = "result ", "tableau ", "mode "  # begin the names of arrays that are no kernel's input
+_RESULT, _TABLEAU, _MODE, _LOAD = "result ", "tableau ", "mode ", "load "  # begin names of arrays that are no inputs
 _WHOLE = ("held", "kind", "joint", "place", "fired", "row", "guard")
 
 _CDEF = """
 typedef int (*mbs_kernel)(const double **arg, double **res, long long *iw, double *w, int mem);
 typedef struct { mbs_kernel f; const double **arg; double **res; } mbs_call;
 typedef struct { const double *nonzeros; long long entries; const long long *place; } mbs_entries;
+typedef struct {
+    long long bearings, joints, axes;
+    const long long *owner, *frame;
+    const double *by_force, *by_moment, *coefficient, *fall, *hold;
+    mbs_entries force, moment, turn;
+    mbs_call reactions, poses;
+} mbs_loads;
 typedef struct {
     const long long *held;
     const double *sign, *torque, *fall, *slowness;
@@ -68,6 +77,8 @@ typedef struct {
     long long bounces;
     long long *row, *guard;
     double *impulse;
+    double longest;
+    const mbs_loads *loads;
 } mbs_modes;
 typedef struct {
     long long n, nq, m, e, d;
@@ -173,6 +184,19 @@ class Brakes:
     slowness: Array
 
 
+@dataclass(frozen=True, eq=False)
+class Loads:
+    """Friction of joints by the forces of R bearings: csrc/mbs_loads.h."""
+
+    owner: list[int]  # (R,): the joint of each bearing,
+    frame: list[int]  # and its frame
+    by_force: Array  # (R, 3, 3): the load of a bearing by the joint's force in that frame,
+    by_moment: Array  # and by its moment
+    coefficient: Array  # (n,): of sliding joints,
+    fall: Array  # what the one at rest exceeds it by, with a Stribeck speed,
+    hold: Array  # and the one of joints that are held
+
+
 class _Feed:
     """The inputs and the motion of driven joints, as C functions ask for them."""
 
@@ -216,21 +240,31 @@ class _Feed:
 class Plant:
     """A model as the C functions take it, with the memory that they use."""
 
-    def __init__(self, dynamics: Equations, pair: Pair, settings: Settings, *, switches: bool = False) -> None:
-        """Lay a model out; with `switches` joints may be held and braked, and guards watched."""
+    def __init__(
+        self,
+        dynamics: Equations,
+        pair: Pair,
+        settings: Settings,
+        *,
+        switches: bool = False,
+        loads: Loads | None = None,
+    ) -> None:
+        """Lay a model out; with `switches` joints may be held and braked, also by loads, and guards watched."""
         self.dynamics, self.manifest = dynamics, dynamics.kernels.manifest
         self.ffi, self.lib = load_functions(_CDEF, "mbs_explicit.c", "mbs_least.c")
         self.plant, self.manner = self.ffi.new("mbs_explicit *"), self.ffi.new("mbs_manner *")
         self.length = self.ffi.new("double *")  # of the next step
         self.is_tree = not is_constrained(self.manifest)
         self.switches = switches
-        self.is_event = False  # a guard ended the last run
+        self.is_event = self.is_lost = False  # how the last run ended: by a guard, or without known loads
         self.is_dense = bool(pair.E) or not self.is_tree or self.switches  # states within steps are asked for
         self.memory = self._lay_plant()
         self.feed = _Feed(dynamics.course, self.memory.arrays)
         self._lay_manner(pair, settings)
         if switches:
             self._lay_modes()
+        if loads is not None:
+            self._lay_loads(loads)
         reals, integers = (
             self.lib.mbs_explicit_reals(self.plant, len(pair.tableau.b)),
             self.lib.mbs_explicit_integers(self.plant),
@@ -308,8 +342,31 @@ class Plant:
         modes.guards = MOST_GUARDS * n
         self.modes = self.plant.modes = memory.keep(modes)
 
-    def switch(self, brakes: Brakes, guards: Sequence[Guard]) -> None:
-        """Hold and brake joints, and watch guards."""
+    def _lay_loads(self, given: Loads) -> None:
+        """Lay bearings, and the kernels that give their forces."""
+        memory, loads = self.memory, self.ffi.new("mbs_loads *")
+        loads.bearings, loads.owner, loads.frame = len(given.owner), *map(memory.integers, (given.owner, given.frame))
+        for name in ("by_force", "by_moment", "coefficient", "fall", "hold"):
+            numbers = np.ravel(getattr(given, name))
+            setattr(loads, name, memory.add(_LOAD + name, numbers.size))
+            memory.arrays[_LOAD + name][:] = numbers
+        reactions = self._lay_results(loads.reactions, "reactions", {"force": loads.force, "moment": loads.moment})
+        loads.joints = reactions["force"].cols
+        loads.axes = self._lay_results(loads.poses, "frames", {"R": loads.turn})["R"].cols
+        self.modes.loads = memory.keep(loads)
+
+    def _lay_results(self, call: Any, name: str, matrices: Mapping[str, Any]) -> dict[str, Argument]:
+        """Lay a kernel that writes matrices; return their descriptions."""
+        memory, entry = self.memory, self.memory.bind(name)
+        found = {x.name: x for x in entry.kernel.outputs if x.name in matrices}
+        for key, argument in found.items():
+            matrices[key].nonzeros = memory.add(_RESULT + key, argument.nnz + 1)
+            matrices[key].entries, matrices[key].place = argument.nnz, memory.place(entry, argument)
+        call.f, call.arg, call.res = memory.lay(entry, {key: _RESULT + key for key in found})
+        return found
+
+    def switch(self, brakes: Brakes, guards: Sequence[Guard], longest: float = 0.0) -> None:
+        """Hold and brake joints, and watch guards; no step by a tolerance is longer than `longest`, if not 0."""
         arrays = self.memory.arrays
         self.whole["held"][0 : self.dynamics.size] = brakes.held
         for name in ("sign", "torque", "fall", "slowness"):
@@ -319,7 +376,7 @@ class Plant:
                 arrays[_MODE + name][k] = getattr(guard, name)
             for name in ("kind", "joint", "place"):
                 self.whole[name][k] = getattr(guard, name)
-        self.modes.guards, self.modes.most = len(guards), 0
+        self.modes.guards, self.modes.most, self.modes.longest = len(guards), 0, longest
 
     def bounce(self, restitution: Array, slow: float, still: float, touch: float) -> None:
         """Pass impacts that need no decision, with restitutions (n,), until the next `switch`."""
@@ -390,7 +447,7 @@ class Plant:
         effort.switches += outcome.switches
         effort.pivot = min(effort.pivot, outcome.pivot)
         effort.gap = max(effort.gap, outcome.gap)
-        self.is_event = outcome.status == EVENT
+        self.is_event, self.is_lost = outcome.status == EVENT, outcome.status == LOADED
         return outcome.steps, self._explain(outcome, float(times[outcome.steps])), states
 
     def advance(
@@ -518,6 +575,7 @@ _FINDINGS = {
     BRANCHED: ("to close it would change the velocities by a tenth in one step", "take a smaller step or tolerance"),
     DEPENDENT: ("its equations contradict each other or others here: a singular pose", "start elsewhere"),
 }
+_UNKNOWN = "whether a motion obeys the friction by the load of joints is not known to rounding"
 
 
 def describe_status(dynamics: Equations, status: int, loop: int, time: float, qd: Array) -> Halt:
@@ -533,5 +591,7 @@ def describe_status(dynamics: Equations, status: int, loop: int, time: float, qd
         return Halt(time, fastest, finding, "loosen the tolerance, or look for a singularity there")
     if status > 0:
         return describe_singularity(find_place(manifest, status), time)
+    if status == LOADED:
+        return Halt(time, None, _UNKNOWN, "lessen the coefficient of friction, or give a torque in place of load")
     finding, remedy = _FINDINGS[status]
     return Halt(time, None, finding, remedy, loop=manifest.loops[loop - 1].name)

@@ -8,7 +8,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import ClassVar, Generic, Protocol, TypeVar
+from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,8 +46,6 @@ G = TypeVar("G")
 
 class Stepwise(Course, Generic[M, G]):
     """A motion in modes M, while guards G are not negative."""
-
-    retried: ClassVar[tuple[type[Exception], ...]] = (KernelError,)  # raised by states beyond the end of a mode, too
 
     def __init__(self, dynamics: Dynamics, pair: Pair, settings: Settings) -> None:
         super().__init__()
@@ -123,7 +121,7 @@ class Stepwise(Course, Generic[M, G]):
             try:
                 h, y = self.advance(piece, mode, time, x, h, fixed=bool(fixed))
                 found = self.look(piece, mode, guards, time, x, h, y)
-            except self.retried:  # as of points far inside each other, which have no distance
+            except KernelError:  # as of points far inside each other, which have no distance
                 self.length = h / 4
                 if fixed or self.length < 1e-14 * max(1.0, time):
                     if len(times) > 1:

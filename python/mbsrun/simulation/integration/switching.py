@@ -21,7 +21,7 @@ Pfeiffer, Glocker, "Multibody dynamics with unilateral contacts" (1996), chapter
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,6 +31,7 @@ from mbsrun.limits import Allowance
 from mbsrun.simulation.drive import Piece
 from mbsrun.simulation.dynamics import Dynamics
 from mbsrun.simulation.integration import explicit
+from mbsrun.simulation.integration.braking import SLOW, BrakedCourse
 from mbsrun.simulation.integration.complementarity import (
     NOISE,
     WITHIN,
@@ -39,31 +40,24 @@ from mbsrun.simulation.integration.complementarity import (
     solve_redundant,
 )
 from mbsrun.simulation.integration.events import MANY, MOST, Course
-from mbsrun.simulation.integration.explicit import Brakes, Pair, Plant
+from mbsrun.simulation.integration.explicit import Pair
 from mbsrun.simulation.integration.holding import LOCKED, Forces, Inertia
-from mbsrun.simulation.integration.joints import HELD, SLACK, STILL, TOUCH, Joints, name_change
+from mbsrun.simulation.integration.joints import HELD, SLACK
 from mbsrun.simulation.integration.rubbing import RubbingCourse
-from mbsrun.simulation.integration.steps import count_steps
 from mbsrun.simulation.integration.touching import TouchingCourse
 from mbsrun.simulation.motion import (
-    PLACE,
-    SPEED,
-    Bounces,
     Chunk,
     Event,
-    Guard,
     Halt,
     HaltError,
     Jump,
     Kind,
     Mode,
-    Segment,
     Settings,
 )
 
 Array = NDArray[np.float64]
 
-SLOW = 1e-3  # m/s, rad/s: only a slower rebound may be the last one
 REBOUND = 1e-15  # m, rad: a rebound that rises less is the last one
 NEAR = 1e-9  # of the forces of a joint: a force that is as near to the most that holds it lets it go
 TIGHT = 1e-12  # the same, where other joints may take the load over
@@ -87,128 +81,16 @@ def integrate(
     yield from course.follow(piece, q, qd, allowance)
 
 
-class _Course(Course):
-    """A motion of joints that stop, stick and slide; one C function integrates between events."""
+class _Course(BrakedCourse):
+    """A motion of joints that stop, stick and slide."""
 
     switches = "stops and dry friction"
     lost, remedy = ComplementarityError, "start elsewhere"
 
     def __init__(self, dynamics: Dynamics, pair: Pair, settings: Settings) -> None:
-        super().__init__()
-        self.joints, self.dynamics, self.settings = Joints.of(dynamics.kernels.manifest), dynamics, settings
-        self.plant = Plant(dynamics, pair, settings, switches=True)
+        super().__init__(dynamics, pair, settings)
         self.forces = Forces(dynamics)
-        self.modes: NDArray[np.int_] | None = None
-        self.released: dict[int, int] = {}  # joints that are no longer held, and the directions in which they start
-        self.locking = np.zeros(0, dtype=np.intp)  # joints that hold all joints at rest
         self.held = np.zeros(len(self.joints.place))  # the last forces on joints at rest
-        self.holding = np.zeros(0)  # forces (n,) that hold them at the start of the mode
-        self.fastest = 0.0  # velocity, in the last steps
-        self.passed: tuple[Event, ...] = ()  # since the last chunk, with the energy that they took [J],
-        self.loss = self.driven = 0.0  # and the work of driven joints
-        self.guards: tuple[Guard, ...] = ()
-        self.jumps: tuple[Jump, ...] = ()
-
-    def run(self, piece: Piece, q: Array, qd: Array, allowance: Allowance) -> Iterator[Chunk]:
-        """Integrate until an event or the end of the piece; the chunk of an event at once has one state."""
-        plant, state, forces = self.plant, np.concatenate((q, qd)), self.holding
-        assert self.modes is not None, "a mode was found"
-        brakes = self.joints.brake(self.modes, forces, self.locking)
-        guards = self.joints.guard(self.modes, forces, self.locking)
-        count = count_steps(piece, self.settings.step) if not plant.manner.estimates else 0
-        time, first = piece.start, 0
-        while time < piece.end:
-            plant.open(piece)
-            plant.switch(brakes, guards)
-            if self.bounces:
-                plant.bounce(self.joints.restitution, SLOW, STILL, TOUCH)
-            done, halt, times, states = plant.advance(piece, state, time, first, count, allowance)
-            if self.is_locked:  # closing loops would move it by rounding
-                states[:] = state
-            is_event, bounced = plant.is_event, plant.bounced
-            if is_event:
-                self.snap(guards, plant.fired, states[done])
-            if done and times[done] == times[done - 1] and done not in bounced[0]:  # an event at once
-                done -= 1
-                states[done] = states[done + 1]
-            if done:
-                allowance.note(done - 1 - len(bounced[0]))
-            time, state, first = float(times[done]), states[done], first + done
-            if done:
-                self.fastest = float(np.abs(states[: done + 1, self.dynamics.places :]).max())
-            bounces = self.describe(bounced, guards, times, states)
-            chunk = self.gather(piece, times[: done + 1], states[: done + 1], brakes, bounces)
-            if is_event:
-                self.guards = (*self.guards, *(guards[k] for k in plant.fired))
-            yield chunk
-            if halt is not None:
-                raise halt
-            if is_event:
-                return
-
-    @property
-    def is_locked(self) -> bool:
-        """Return whether no joint moves, and driven ones do not either."""
-        free = len(self.forces.moving) - len(self.joints.manifest.owners)
-        return len(self.locking) >= free and self.dynamics.course.is_constant
-
-    @property
-    def bounces(self) -> bool:
-        """Return whether impacts are passed in C: no joint rests, and the restitution of one throws it back."""
-        assert self.modes is not None, "a mode was found"
-        return not np.isin(self.modes, HELD).any() and bool((self.joints.restitution > 0).any())
-
-    def describe(
-        self,
-        bounced: tuple[NDArray[np.intp], NDArray[np.intp], Array],
-        guards: Sequence[Guard],
-        times: Array,
-        states: Array,
-    ) -> Bounces | None:
-        """Describe the impacts that were passed in C."""
-        rows, fallen, impulses = bounced
-        if not rows.size:
-            return None
-        own = [guards[k] for k in fallen]
-        joints, names = [guard.joint for guard in own], [c.name for c in self.joints.manifest.coordinates]
-        before, after = (states[row, self.dynamics.places + np.array(joints)] for row in (rows - 1, rows))
-        sides = np.array([guard.side for guard in own])
-        numbers = zip(times[rows].tolist(), joints, before.tolist(), after.tolist(), strict=True)
-        events = tuple(Event(t, names[i], Kind.IMPACT, v, w) for t, i, v, w in numbers)
-        restitution = tuple(self.joints.restitution[joints].tolist())
-        return Bounces(rows, events, -0.5 * impulses * sides * (before + after), tuple(own), restitution)
-
-    def gather(self, piece: Piece, times: Array, states: Array, brakes: Brakes, bounces: Bounces | None) -> Chunk:
-        """Bundle steps with the motion within them, in their own mode."""
-        assert self.modes is not None, "a mode was found"
-        happened = self.passed, self.loss, self.driven, self.guards, self.jumps
-        modes, locking, forces = (tuple(x.tolist()) for x in (self.modes, self.locking, self.holding))
-        segment = Segment(modes, *happened, bounces=bounces, locking=locking, forces=forces)
-        if len(times) > 1:
-            self.passed, self.loss, self.driven, self.guards, self.jumps = (), 0.0, 0.0, (), ()
-        q, qd = np.split(states, [self.dynamics.places], axis=1)
-        read = self.plant.make_dense(piece, times[:-1], states[:-1])
-
-        is_locked = self.is_locked
-
-        def dense(t: Array, step: NDArray[np.intp]) -> tuple[Array, Array]:
-            if is_locked:
-                return q[step], qd[step]
-            self.plant.switch(brakes, ())
-            return read(t, step)
-
-        return Chunk(times, q, qd, dense, segment=segment)
-
-    def snap(self, guards: list[Guard], fired: list[int], state: Array) -> None:
-        """Put the numbers of guards that are 0 where they are meant to be, and note the joints that are released."""
-        places = self.dynamics.places
-        for guard in (guards[k] for k in fired):
-            if guard.kind == PLACE:
-                state[guard.place] = guard.level
-            elif guard.kind == SPEED:
-                state[places + guard.joint] = 0.0
-            else:  # a force below its lowest lets the joint go forward
-                self.released[guard.joint] = 1 if guard.side > 0 else -1
 
     def settle(self, time: float, piece: Piece, q: Array, qd: Array) -> tuple[Array, Array]:
         """Pass the impacts at a state, and find the mode then, with the forces on joints at rest; return the state."""
@@ -393,16 +275,6 @@ class _Course(Course):
         near = near if is_alone else slack <= TIGHT
         locking = still if is_alone else inertia.choose(still, slack)
         return _Rest(lam, place, near, slack, locking, is_alone)
-
-    def compare(self, time: float, qd: Array, modes: NDArray[np.int_]) -> Iterator[Event]:
-        """List the changes of modes since the last event, impacts aside."""
-        if self.modes is None:
-            return
-        for i, (old, new) in enumerate(zip(self.modes, modes, strict=True)):
-            kind = name_change(int(old), int(new))
-            if kind is not None:
-                speed = float(qd[i])
-                yield Event(time, self.joints.manifest.coordinates[i].name, kind, speed, speed)
 
 
 @dataclass(frozen=True, eq=False)
