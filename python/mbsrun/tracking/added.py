@@ -143,12 +143,10 @@ class AddedStates:
             return f"the added states have no end: {error.finding}"
         if end is None or not np.isfinite(end).all():
             return "the motion or a state of the problem has no rate on the way"
-        fractions = (times - begun) / duration
-        steps = np.searchsorted([step.end for step in taken], fractions).clip(max=len(taken) - 1)
+        fractions = (times[:-1] - begun) / duration
+        steps = np.searchsorted([step.end for step in taken], fractions)
         first, read = np.zeros(1, dtype=np.int64), zip(steps.tolist(), fractions.tolist(), strict=True)
-        every = np.concatenate([taken[k].read(first, np.array([x])) for k, x in read])
-        every[-1] = end[0]
-        return np.asarray(every)
+        return np.concatenate([*(taken[k].read(first, np.array([x])) for k, x in read), end])
 
     def complete(
         self, state: tuple[Array, Array, Array], inputs: Array, sample: float, times: Array, trial: Trial

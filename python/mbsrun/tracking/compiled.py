@@ -211,7 +211,7 @@ def find_wrong_rate(interval: float, period: float, *, remembers: bool = False) 
     if remembers and abs(count - 1) > ROUNDED:
         finding = f"the controller remembers inputs by intervals of {interval:g} s, and a period has {period:g} s"
         return finding, f"give a rate of {1 / interval:g} Hz"
-    if round(count) >= 1 and abs(count - round(count)) <= ROUNDED * count:
+    if abs(count - round(count)) <= ROUNDED * count:
         return None
     finding = f"the controller's intervals of {interval:g} s are no multiple of the period of {period:g} s"
     return finding, f"give a rate of {1 / interval:g} Hz, or a multiple"

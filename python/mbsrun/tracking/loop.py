@@ -183,7 +183,7 @@ class _Loop:
     def finish(self) -> Track:
         """Gather the track."""
         t, q, qd, states = (np.concatenate(part) for part in zip(*self.stretches, strict=True))
-        period = np.clip((t / self.trial.period * (1 - 1e-12)).astype(int), 0, max(len(self.samples) - 1, 0))
+        period = (t / self.trial.period * (1 - 1e-12)).astype(int)
         u = np.array([sample.u for sample in self.samples])[period]
         for k in np.unique(period).tolist() if self.plant.is_whole else ():
             x, sample = period == k, self.samples[k]

@@ -242,7 +242,7 @@ def test_loops_are_left_out_where_there_are_none() -> None:
 
 def test_functions_have_names_of_their_own_and_code() -> None:
     """They read what expressions read, and are called by IPOPT alone."""
-    function = Symbolic("f", ("q_slide",), "q_slide^2", "code")
+    function = Symbolic("f", ("q_slide",), "q_slide**2", "code")
     assert find({"functions": (function,)}) == ()
     for wrong, place, finding in (
         (replace(function, name="q_slide"), "functions[0].name", 'found "q_slide"'),

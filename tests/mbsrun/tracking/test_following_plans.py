@@ -140,6 +140,17 @@ def test_a_solve_that_fails_keeps_the_plan(asked: Asked) -> None:
     assert first.inputs == pytest.approx(asked.guesses[0].u[0])
 
 
+def test_after_a_first_solve_that_fails_the_next_one_begins_at_a_guess(asked: Asked) -> None:
+    """Inputs are 0 until there is a plan."""
+    controller = start()
+    asked.fails = True
+    assert give(controller).inputs.tolist() == [0.0]
+    asked.fails = False
+    controller.prepare(PERIOD, {})
+    assert give(controller).is_solved
+    assert asked.guesses[1].q[0, 0] == 0.5
+
+
 def test_without_a_pose_for_a_guess_nothing_is_solved(asked: Asked, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("mbsrun.tracking.solving.make_guess", lambda *_: object.__new__(Pose))
     decision = give(start())

@@ -33,7 +33,8 @@ def describe(**changes: Any) -> Any:
             for name, entries in (data | changes.pop("data", {})).items()
         ),
         "states": tuple(SimpleNamespace(name=name) for name in ("q_slide", "qd_slide", "s_heat")),
-        "inputs": ("slide",), "intervals": 4, "horizon": 0.8, "prefix": "push", "cost": -5.0, "scale": 0.1, "delays": (),
+        "inputs": ("slide",), "intervals": 4, "horizon": 0.8, "prefix": "push", "cost": -5.0, "scale": 0.1,
+        "delays": (),
     }  # fmt: skip
     return SimpleNamespace(**(usual | changes))
 

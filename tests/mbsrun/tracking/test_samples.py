@@ -150,8 +150,12 @@ def test_each_period_begins_where_the_one_before_ended() -> None:
 
 @pytest.mark.parametrize(
     ("drifts", "drift", "lossy"),
-    [((0.25, -0.5, 0.125, 0.0, 0.0, 0.0), 0.5, 0), ((0.1, 2.0, -3.0, 0.5, 0.2, 0.0), 3.0, 2), ((0.1, None, 0.2, 4.0, 0.1, 0.0), None, 1)],
-)  # fmt: skip
+    [
+        ((0.25, -0.5, 0.125, 0.0, 0.0, 0.0), 0.5, 0),
+        ((0.1, 2.0, -3.0, 0.5, 0.2, 0.0), 3.0, 2),
+        ((0.1, None, 0.2, 4.0, 0.1, 0.0), None, 1),
+    ],
+)
 def test_the_largest_drift_of_a_period_is_kept_unless_one_is_unknown(
     drifts: tuple[float | None, ...], drift: float | None, lossy: int
 ) -> None:
@@ -199,6 +203,7 @@ def test_without_a_prediction_the_plan_before_gives_the_inputs() -> None:
     assert (decision.status, decision.is_solved, decision.iterations) == (UNPREDICTED, False, 0)
     assert decision.inputs == pytest.approx([50.5, 60.5])
     assert np.isnan(decision.violation)
+    assert decision.seconds == 0.0
     assert found.failures == 2
     stopped = run(Rail(), delay=2, fallback=Fallback.STOP)
     assert stopped.halt is not None

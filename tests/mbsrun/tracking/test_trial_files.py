@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,8 +13,9 @@ import pytest
 
 from mbsgen.errors import InputError
 from mbsgen.expressions import FLOATS, evaluate
-from mbsgen.manifest import Wrench
+from mbsgen.manifest import Loop, Wrench
 from mbsrun.ocp.problem.problem import Bounds, Constraint, Control, Problem, State
+from mbsrun.simulation.integration.methods import METHODS
 from mbsrun.tracking.statement import TrialStatement
 from mbsrun.tracking.trial import Fallback, Horizon, Kick, Trial
 from tests.mbsrun.ocp.plants import FREE_RANGE, push
@@ -25,7 +27,7 @@ MANIFEST = double_integrator().manifest.model_copy(update={"wrenches": WRENCHES}
 STATES = (State("heat", "1", start=(4.0, 4.0)), State("free", "1", start=(0.0, 1.0)))
 PROBLEM = replace(
     push(4), start_q=(0.25,), start_qd=(0.5,), states=STATES, constants=(("k", 2.0), ("t0", 0.0)),
-    controls=(Control("c"),), constraints=(Constraint("q_slide^2", (0, 4)), Constraint("q_slide", (0, 4), "end")),
+    controls=(Control("c"),), constraints=(Constraint("q_slide**2", (0, 4)), Constraint("q_slide", (0, 4), "end")),
     bounds=Bounds(((0.0, 2.0),), (FREE_RANGE,), (FREE_RANGE,)),
 )  # fmt: skip
 USUAL: dict[str, Any] = {"duration": 2, "rate": 20, "start": {"states": {"free": 0}}}
@@ -35,10 +37,16 @@ def read(problem: Problem = PROBLEM, **changes: Any) -> tuple[Trial, dict[str, f
     return TrialStatement(None, {**USUAL, **changes}).trial(problem, MANIFEST, {"m": 2.0, "l": 3.0})
 
 
+def find_faults(call: Callable[[], object]) -> list[tuple[str, str]]:
+    try:
+        call()
+    except InputError as error:
+        return [(fault.path, fault.finding) for fault in error.faults]
+    return []
+
+
 def refuse(problem: Problem = PROBLEM, **changes: Any) -> list[tuple[str, str]]:
-    with pytest.raises(InputError) as error:
-        read(problem, **changes)
-    return [(fault.path, fault.finding) for fault in error.value.faults]
+    return find_faults(lambda: read(problem, **changes))
 
 
 def test_a_trial_has_quiet_defaults() -> None:
@@ -135,9 +143,26 @@ def test_controls_move_the_plant_as_one_system() -> None:
     assert read(alone, plant={"rtol": 1e-6})[0].integration.rtol == 1e-6
 
 
+def test_methods_without_loops_are_refused_for_closed_ones() -> None:
+    """Without loops every method is taken that has nothing to say about its step."""
+    alone = replace(PROBLEM, controls=())
+    loops = MANIFEST.model_copy(update={"loops": (Loop(name="l", cut="ball"),)})
+    for name, method in METHODS.items():
+        words = [("plant.method", f"{name} takes no loops")]
+        for manifest, expected in ((MANIFEST, []), (loops, [] if method.closed else words)):
+            statement = TrialStatement(None, {**USUAL, "plant": {"method": name}})
+            assert find_faults(lambda of=manifest, by=statement: by.trial(alone, of, {})) == expected
+
+
+def test_a_fault_of_the_plant_has_its_place() -> None:
+    statement = TrialStatement(None, {**USUAL, "plant": {"model": "none.yaml"}})
+    fault = statement.fault(("plant", "model"), "there is none", "give another")
+    assert (fault.path, fault.finding, fault.remedy) == ("plant.model", "there is none", "give another")
+
+
 def test_leeway_is_of_bounds_of_states_and_of_constraints_along_the_path() -> None:
-    given = {"q_slide": 0.1, "heat": 0, "q_slide^2": "k"}
-    assert read(leeway=given)[0].leeway == {"q_slide": 0.1, "heat": 0.0, "q_slide^2": 2.0}
+    given = {"q_slide": 0.1, "heat": 0, "q_slide**2": "k"}
+    assert read(leeway=given)[0].leeway == {"q_slide": 0.1, "heat": 0.0, "q_slide**2": 2.0}
     for name in ("qd_slide", "u_slide", "c"):
         assert refuse(leeway={name: 0.1}) == [(f"leeway.{name}", f'the problem has no bound or constraint of "{name}"')]
     assert refuse(leeway={"heat": -0.1}) == [("leeway.heat", "found -0.1")]
