@@ -1,4 +1,4 @@
-"""What the program on a bare processor prints, as a report reads it; the tools are stand-ins."""
+"""The prints of the program on a bare processor, as a report reads them; the tools are stand-ins."""
 
 from __future__ import annotations
 

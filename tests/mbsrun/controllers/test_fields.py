@@ -7,8 +7,7 @@ the vectors of the changed problem, entry by entry.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
-from functools import cache
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -16,58 +15,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from mbsrun.controllers.fields import MARK, Sources, find_sources, list_delays, list_histories, list_inputs
-from mbsrun.controllers.making import find_rows
-from mbsrun.ocp.evaluation.stages.building import build
-from mbsrun.ocp.problem.problem import Bounds, Constraint, Control, Cost, Delay, End, Force, Problem, State, Term
-from mbsrun.ocp.solving.solve import Solver
+from mbsrun.controllers.fields import MARK, Sources, list_delays, list_histories, list_inputs
+from mbsrun.ocp.problem.problem import Bounds, Control, Delay, Force, Problem
+from tests.mbsrun.controllers.built import FREE_TIME, LATE, PROBLEMS, make
 from tests.mbsrun.ocp.plants import FREE_RANGE, push
-from tests.mbsrun.peer import double_integrator
 
 Array = NDArray[np.float64]
 FREE = (FREE_RANGE,)
-
-LATE = replace(
-    push(4), start_q=(0.1,), start_qd=(0.2,), constants=(("k", 4.0), ("l", 5.0)),
-    states=(
-        State("heat", "u_slide**2", (-1.0, 50.0), (0.25, 0.25)), State("sum", "c", (-60.0, 61.0), end=(0.75, 0.75))
-    ),
-    controls=(Control("c", (-2.0, 3.0)), Control("e", (-17.0, 18.0))),
-    bounds=Bounds(((-5.0, 6.0),), ((-7.0, 8.0),), ((-9.0, 10.0),), ((-11.0, 12.0),)),
-    cost=Cost(
-        1.5, 0.5, running=(Term("(q_slide - k)**2 + c**2 + l", 2.0), Term("c", 0.0), Term("e**2", 6.0)),
-        terminal=(Term("heat", 3.5),), control_rates=(("c", 0.125),),
-    ),
-    constraints=(Constraint("q_slide + c", (-13.0, 14.0)), Constraint("qd_slide", (-15.0, 16.0), "end")),
-    end=End(coordinates=((0, 1.0),), velocities=((0, 0.3),), accelerations=((0, 0.6),)),
-    delays=(Delay("input", 0, 0.5, 0.7),),
-)  # fmt: skip
-FREE_TIME = replace(
-    push(3), horizon_range=(0.5, 2.0), cost=Cost(1.0),
-    end=End(sensors=(("place", (1.0, None, 0.0)),), sensor_velocities=(("place", (0.4, None, None)),)),
-)  # fmt: skip
-PROBLEMS = {"late": LATE, "free time": FREE_TIME}
-
-
-@dataclass(frozen=True)
-class Built:
-    """The tables of a problem, and the data of problems of the same structure."""
-
-    problem: Problem
-    transcription: Any
-    tables: Any
-
-    def find(self, problem: Problem) -> Sources:
-        plant: Any = double_integrator()
-        return find_sources(problem, self.transcription, self.tables, plant)
-
-
-@cache
-def make(name: str) -> Built:
-    problem, plant = PROBLEMS[name], double_integrator()
-    transcription = Solver(problem, plant).transcription
-    rows = find_rows(transcription, problem)
-    return Built(problem, transcription, build(transcription.program, plant, np.array(problem.cost.weights) != 0, rows))
 
 
 def read(sources: Sources, values: Array) -> list[Array]:
@@ -105,7 +59,7 @@ def end(key: str) -> Callable[[Problem, int, float], Problem]:
 
 
 def weigh(problem: Problem, k: int, x: float) -> Problem:
-    """Change one weight of those that are not 0: inputs, their rates, running and terminal terms, rates of controls."""
+    """Change one weight that is not 0: inputs, their rates, running and terminal terms, rates of controls."""
     cost = problem.cost
     if k < 2:
         return replace(problem, cost=replace(cost, **{("inputs", "input_rates")[k]: x}))
@@ -156,7 +110,7 @@ def test_a_number_of_the_data_is_the_same_number_of_the_problem(name: str) -> No
     for field in (field for field in sources.fields if field.name not in OWN):
         for k, entry in enumerate(field.entries):
             at = sources.place(field.name) + k
-            values[at] = entry.value + 0.03125 + at / 1024  # each by an amount of its own
+            values[at] = entry.value + 0.03125 + at / 1024  # each by another amount
             changed = MEANING[field.name](changed, k, float(values[at]))
     expected = built.find(changed)
     for found, wanted in zip(read(sources, values), read(expected, expected.values), strict=True):

@@ -16,7 +16,7 @@ from mbsrun.controllers.writing import Design, choose_barrier, scale_cost, tag_n
 from mbsrun.ocp.evaluation.stages.calls import name_called
 from mbsrun.ocp.evaluation.stages.tables import KernelFunction
 from mbsrun.ocp.problem.problem import Cost, SolverOptions, Term
-from tests.mbsrun.controllers.test_fields import LATE, make
+from tests.mbsrun.controllers.built import LATE, make
 from tests.mbsrun.ocp.plants import push
 from tests.mbsrun.peer import double_integrator
 

@@ -1,4 +1,4 @@
-"""What a controller asks its solver for at each sample: starts, inputs that were given, constants, and horizons.
+"""Requests of a controller to its solver at each sample: starts, inputs that were given, constants, and horizons.
 
 The solver is a stand-in that returns its guess as the plan, so that every request is seen and takes no time.
 """

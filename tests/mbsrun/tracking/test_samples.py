@@ -55,7 +55,7 @@ class Rail:
         return u + 0.5
 
     def complete(self, _q: Array, _qd: Array, states: Array, start: float, times: Array, u: Array) -> Array:
-        """Give the first input by an expression: a hundred for each second of the period, and s, less the second."""
+        """Return the first input by an expression: a hundred for each second of the period, and s, less the second."""
         every = np.tile(u, (len(times), 1))
         if self.is_whole:
             every[:, 0] = 100 * (times - start) + states[:, 0] - u[1]
@@ -91,7 +91,7 @@ class Added:
 
 
 class Asking:
-    """Asks for (k, -k) in sample k, and remembers what it is told."""
+    """Asks for (k, -k) in sample k, and keeps all notes."""
 
     def __init__(self) -> None:
         self.k, self.states, self.noted = -1, list[list[float]](), list[tuple[float, float]]()
@@ -125,7 +125,7 @@ def run(plant: Rail, controller: Asking | None = None, **changes: Any) -> Track:
 
 
 def test_inputs_that_were_asked_for_belong_to_the_period_that_ends_at_their_time() -> None:
-    """The first ones act at 0 as well; inputs by expressions are those of each time, from their sample on."""
+    """The first ones act at 0 as well; inputs by expressions follow each time, from their sample on."""
     found = run(Rail())
     assert len(found.t) == 5 * 11 + 1
     k = np.maximum(np.ceil(found.t / 0.1 * (1 - 1e-12)).astype(int) - 1, 0)
