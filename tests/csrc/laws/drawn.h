@@ -1,0 +1,225 @@
+/* A problem whose functions are quadratic, with numbers at random, and what its optimality conditions are.
+ *
+ * Row 0 is the cost of a stage; e, d and g follow. Scales are 1 and the solver is asked for none, so that its numbers are
+ * the caller's. */
+#ifndef DRAWN_H
+#define DRAWN_H
+
+#include "laws.h"
+
+#include <math.h>
+#include <stdlib.h>
+
+enum { STAGES = 3, MOST = 4, FUNCTIONS = 8, W = 11, S = 5, ROWS = 3 + 4 + S, ALL = W + S + 2 * ROWS };
+
+static mbs_stages_size drawn_sizes[STAGES] = {{2, 2, 1, 2, 0, 0}, {2, 2, 1, 1, 0, 0}, {2, 1, 1, 2, 0, 0}};
+static real base[STAGES][FUNCTIONS], linear[STAGES][FUNCTIONS][MOST], bent[STAGES][FUNCTIONS][MOST][MOST];
+static real w_lower[W], w_upper[W], g_least[S], g_most[S], w_scale[W];
+static mbs_stages_problem drawn_problem;
+static mbs_stages *drawn;
+static void *drawn_room;
+static unsigned drawn_seed = 5;
+
+static inline real pick(void)
+{
+    drawn_seed = drawn_seed * 1103515245u + 12345u;
+    return (real)(drawn_seed / 65536 % 2001) / 1000 - 1;
+}
+
+static inline int count_next(int k)
+{
+    return k + 1 < STAGES ? drawn_sizes[k + 1].nx : 0;
+}
+
+static inline int count_variables(int k)
+{
+    return drawn_sizes[k].nx + drawn_sizes[k].nv;
+}
+
+static inline int count_rows(int k)
+{
+    return drawn_sizes[k].ne + count_next(k) + drawn_sizes[k].ng;
+}
+
+static inline real value_of(int k, int row, const real *w)
+{
+    real sum = base[k][row];
+    int i, j;
+    for (i = 0; i < count_variables(k); ++i) {
+        sum += linear[k][row][i] * w[i];
+        for (j = 0; j < count_variables(k); ++j)
+            sum += bent[k][row][i][j] * w[i] * w[j] / 2;
+    }
+    return sum;
+}
+
+static inline real slope_of(int k, int row, const real *w, int i)
+{
+    real sum = linear[k][row][i];
+    int j;
+    for (j = 0; j < count_variables(k); ++j)
+        sum += bent[k][row][i][j] * w[j];
+    return sum;
+}
+
+static inline void gather_w(int k, const real *x, const real *v, real *w)
+{
+    int i;
+    for (i = 0; i < count_variables(k); ++i)
+        w[i] = i < drawn_sizes[k].nx ? x[i] : v[i - drawn_sizes[k].nx];
+}
+
+static int drawn_values(void *context, int k, const real *x, const real *v, real *f, real *e, real *d, real *g)
+{
+    real w[MOST];
+    int i;
+    (void)context;
+    gather_w(k, x, v, w);
+    *f = value_of(k, 0, w);
+    for (i = 0; i < drawn_sizes[k].ne; ++i)
+        e[i] = value_of(k, 1 + i, w);
+    for (i = 0; i < count_next(k); ++i)
+        d[i] = value_of(k, 2 + i, w);
+    for (i = 0; i < drawn_sizes[k].ng; ++i)
+        g[i] = value_of(k, 2 + count_next(k) + i, w);
+    return 0;
+}
+
+static int drawn_jacobians(void *context, int k, const real *x, const real *v, real *df, real *de, real *dd, real *dg)
+{
+    real w[MOST];
+    int i, j;
+    (void)context;
+    gather_w(k, x, v, w);
+    for (j = 0; j < count_variables(k); ++j) {
+        df[j] = slope_of(k, 0, w, j);
+        for (i = 0; i < drawn_sizes[k].ne; ++i)
+            de[j * drawn_sizes[k].ne + i] = slope_of(k, 1 + i, w, j);
+        for (i = 0; i < count_next(k); ++i)
+            dd[j * count_next(k) + i] = slope_of(k, 2 + i, w, j);
+        for (i = 0; i < drawn_sizes[k].ng; ++i)
+            dg[j * drawn_sizes[k].ng + i] = slope_of(k, 2 + count_next(k) + i, w, j);
+    }
+    return 0;
+}
+
+static int drawn_hessian(void *context, int k, const real *x, const real *v, real factor, const real *ye, const real *yd,
+                         const real *yg, real *h)
+{
+    const int n = count_variables(k);
+    int i, j, row;
+    (void)context, (void)x, (void)v;
+    for (j = 0; j < n; ++j)
+        for (i = j; i < n; ++i) {
+            real sum = factor * bent[k][0][i][j];
+            for (row = 0; row < drawn_sizes[k].ne; ++row)
+                sum += ye[row] * bent[k][1 + row][i][j];
+            for (row = 0; row < count_next(k); ++row)
+                sum += yd[row] * bent[k][2 + row][i][j];
+            for (row = 0; row < drawn_sizes[k].ng; ++row)
+                sum += yg[row] * bent[k][2 + count_next(k) + row][i][j];
+            h[j * n + i] = sum;
+        }
+    return 0;
+}
+
+/* Draw the functions, of costs with the given curvature, and make a solver: bounds on both sides, one, none; some are
+ * equal. With `inner`, rows of e give the first of v. */
+static void open_drawn(real curvature, int inner)
+{
+    static const mbs_stages_problem none;
+    int k, row, i, j;
+    for (k = 0; k < STAGES; drawn_sizes[k++].inner = inner)
+        for (row = 0; row < FUNCTIONS; ++row) {
+            base[k][row] = pick();
+            for (i = 0; i < MOST; ++i) {
+                linear[k][row][i] = pick();
+                for (j = 0; j <= i; ++j)
+                    bent[k][row][i][j] = bent[k][row][j][i] = row ? pick() / 8 : pick() / 4 + (i == j ? curvature : 0);
+            }
+        }
+    for (k = 0; k < STAGES && inner; ++k)
+        linear[k][1][2] = 3;
+    for (i = 0; i < W; ++i) {
+        w_lower[i] = i % 4 == 1 ? (real)-1e20 : -2 - i / (real)8;
+        w_upper[i] = i % 4 == 2 ? (real)1e20 : 2 + i / (real)4;
+        w_scale[i] = 1;
+    }
+    w_upper[5] = (real)1e20, w_lower[5] = (real)-1e20;
+    w_lower[0] = w_upper[0] = (real)0.25, w_lower[3] = w_upper[3] = (real)-0.5;
+    for (i = 0; i < S; ++i) {
+        g_least[i] = i == 1 ? (real)-1e20 : -3;
+        g_most[i] = i == 2 ? (real)1e20 : 4 + i;
+    }
+    g_least[0] = g_most[0] = (real)0.125;
+    drawn_problem = none;
+    drawn_problem.stages = STAGES, drawn_problem.size = drawn_sizes;
+    drawn_problem.values = drawn_values, drawn_problem.jacobians = drawn_jacobians, drawn_problem.hessian = drawn_hessian;
+    drawn_problem.lower = w_lower, drawn_problem.upper = w_upper, drawn_problem.least = g_least;
+    drawn_problem.most = g_most, drawn_problem.scale = w_scale;
+    free(drawn_room);
+    drawn_room = malloc(mbs_stages_bytes(&drawn_problem));
+    drawn = mbs_stages_create(&drawn_problem, drawn_room, mbs_stages_bytes(&drawn_problem));
+}
+
+/* Entry of the Jacobian of all rows at w, by variable i of w; dynamics have the next state, too. */
+static inline real entry_of(const real *w, int row, int i)
+{
+    int k, at = 0, first = 0;
+    for (k = 0; row >= first + count_rows(k); ++k)
+        first += count_rows(k), at += count_variables(k);
+    row -= first, i -= at;
+    if (i >= 0 && i < count_variables(k))
+        return slope_of(k, 1 + row, w + at, i);
+    if (row >= drawn_sizes[k].ne && row < drawn_sizes[k].ne + count_next(k) && i >= 0)
+        return i - count_variables(k) == row - drawn_sizes[k].ne ? -1 : 0;
+    return 0;
+}
+
+/* The slack of a row, or -1: of g alone. */
+static inline int slack_of(int row)
+{
+    int k, first = 0, at = 0;
+    for (k = 0; row >= first + count_rows(k); ++k)
+        first += count_rows(k), at += drawn_sizes[k].ng;
+    row -= first + drawn_sizes[k].ne + count_next(k);
+    return row >= 0 ? at + row : -1;
+}
+
+/* Second derivative of factor * cost + y . rows. */
+static inline real curvature_of(const real *y, real factor, int i, int j)
+{
+    real sum;
+    int k, row, at = 0, first = 0;
+    for (k = 0; i >= at + count_variables(k); ++k)
+        at += count_variables(k), first += count_rows(k);
+    i -= at, j -= at;
+    if (j < 0 || j >= count_variables(k))
+        return 0;
+    sum = factor * bent[k][0][i][j];
+    for (row = 0; row < count_rows(k); ++row)
+        sum += y[first + row] * bent[k][1 + row][i][j];
+    return sum;
+}
+
+static inline real cost_slope(const real *w, int i)
+{
+    int k, at = 0;
+    for (k = 0; i >= at + count_variables(k); ++k)
+        at += count_variables(k);
+    return slope_of(k, 0, w + at, i - at);
+}
+
+static inline real row_value(const real *w, int row)
+{
+    int k, at = 0, first = 0;
+    real sum;
+    for (k = 0; row >= first + count_rows(k); ++k)
+        first += count_rows(k), at += count_variables(k);
+    sum = value_of(k, 1 + row - first, w + at);
+    if (row - first >= drawn_sizes[k].ne && row - first < drawn_sizes[k].ne + count_next(k))
+        sum -= w[at + count_variables(k) + row - first - drawn_sizes[k].ne];
+    return sum;
+}
+
+#endif
