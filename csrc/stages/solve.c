@@ -263,10 +263,8 @@ static int start_slacks(mbs_stages *s)
 {
     mbs_stages_phase *p = &s->main;
     real cost;
-    int k, i, count = 0;
-    for (k = 0; k < s->problem->stages; ++k)
-        count += s->recursion.stage[k].ng;
-    if (count && mbs_stages_values(s, p->x, &cost, p->c))
+    int k, i;
+    if (s->slacks && mbs_stages_values(s, p->x, &cost, p->c))
         return -1;
     for (k = 0; k < s->problem->stages; ++k) {
         const mbs_stages_stage *t = &s->recursion.stage[k];

@@ -12,12 +12,12 @@
 
 enum { STAGES = 3, MOST = 4, FUNCTIONS = 8, W = 11, S = 5, ROWS = 3 + 4 + S, ALL = W + S + 2 * ROWS };
 
-static mbs_stages_size drawn_sizes[STAGES] = {{2, 2, 1, 2, 0, 0}, {2, 2, 1, 1, 0, 0}, {2, 1, 1, 2, 0, 0}};
+static mbs_stages_size drawn_sizes[STAGES] = {{2, 2, 1, 2, 0, 0}, {2, 2, 1, 2, 0, 0}, {2, 1, 1, 1, 0, 0}};
 static real base[STAGES][FUNCTIONS], linear[STAGES][FUNCTIONS][MOST], bent[STAGES][FUNCTIONS][MOST][MOST];
 static real w_lower[W], w_upper[W], g_least[S], g_most[S], w_scale[W];
 static mbs_stages_problem drawn_problem;
 static mbs_stages *drawn;
-static void *drawn_room;
+static void *drawn_room, *drawn_apart[10];
 static unsigned drawn_seed = 5;
 
 static inline real pick(void)
@@ -123,6 +123,22 @@ static int drawn_hessian(void *context, int k, const real *x, const real *v, rea
     return 0;
 }
 
+/* Put an array into memory of its own, beyond whose end nobody reads. */
+static inline void *set_apart(int place, const void *from, size_t bytes)
+{
+    free(drawn_apart[place]);
+    drawn_apart[place] = malloc(bytes);
+    return memcpy(drawn_apart[place], from, bytes);
+}
+
+static inline void close_drawn(void)
+{
+    size_t i;
+    for (i = 0; i < sizeof drawn_apart / sizeof *drawn_apart; ++i)
+        free(drawn_apart[i]);
+    free(drawn_room);
+}
+
 /* Draw the functions, of costs with the given curvature, and make a solver: bounds on both sides, one, none; some are
  * equal. With `inner`, rows of e give the first of v. */
 static void open_drawn(real curvature, int inner)
@@ -135,7 +151,7 @@ static void open_drawn(real curvature, int inner)
             for (i = 0; i < MOST; ++i) {
                 linear[k][row][i] = pick();
                 for (j = 0; j <= i; ++j)
-                    bent[k][row][i][j] = bent[k][row][j][i] = row ? pick() / 8 : pick() / 4 + (i == j ? curvature : 0);
+                    bent[k][row][i][j] = bent[k][row][j][i] = row ? pick() / 20 : pick() / 4 + (i == j ? curvature : 0);
             }
         }
     for (k = 0; k < STAGES && inner; ++k)
@@ -160,6 +176,16 @@ static void open_drawn(real curvature, int inner)
     free(drawn_room);
     drawn_room = malloc(mbs_stages_bytes(&drawn_problem));
     drawn = mbs_stages_create(&drawn_problem, drawn_room, mbs_stages_bytes(&drawn_problem));
+    drawn->recursion.stage = set_apart(0, drawn->recursion.stage, STAGES * sizeof *drawn->recursion.stage);
+    drawn->point.w = set_apart(1, drawn->point.w, W * sizeof(real));
+    drawn->point.y = set_apart(2, drawn->point.y, ROWS * sizeof(real));
+    drawn->row_scale = set_apart(3, drawn->row_scale, ROWS * sizeof(real));
+    drawn->variable_scale = set_apart(4, drawn->variable_scale, W * sizeof(real));
+    drawn->main.x = set_apart(5, drawn->main.x, (W + S) * sizeof(real));
+    drawn->main.y = set_apart(6, drawn->main.y, ROWS * sizeof(real));
+    drawn->main.c = set_apart(7, drawn->main.c, ROWS * sizeof(real));
+    drawn->main.slope = set_apart(8, drawn->main.slope, (W + S) * sizeof(real));
+    drawn->main.lagrangian = set_apart(9, drawn->main.lagrangian, (W + S) * sizeof(real));
 }
 
 /* Entry of the Jacobian of all rows at w, by variable i of w; dynamics have the next state, too. */
@@ -220,6 +246,27 @@ static inline real row_value(const real *w, int row)
     if (row - first >= drawn_sizes[k].ne && row - first < drawn_sizes[k].ne + count_next(k))
         sum -= w[at + count_variables(k) + row - first - drawn_sizes[k].ne];
     return sum;
+}
+
+
+/* Let the rows hold at a point within the bounds. */
+static inline void let_hold(void)
+{
+    real w[W];
+    int i, k, row, at = 0, s = 0;
+    for (i = 0; i < W; ++i)
+        w[i] = w_lower[i] == w_upper[i] ? w_lower[i] : pick();
+    for (k = 0; k < STAGES; at += count_variables(k++))
+        for (row = 1; row <= count_rows(k); ++row) {
+            const int next = row - 1 - drawn_sizes[k].ne;
+            const real value = value_of(k, row, w + at);
+            if (next < 0)
+                base[k][row] -= value;
+            else if (next < count_next(k))
+                base[k][row] += w[at + count_variables(k) + next] - value;
+            else
+                base[k][row] += (g_least[s] == g_most[s] ? g_least[s] : pick()) - value, ++s;
+        }
 }
 
 #endif

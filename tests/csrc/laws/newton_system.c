@@ -233,6 +233,6 @@ int main(void)
             steps(inner, elastic), curvatures(0, inner, elastic);
         curvatures(1, inner, 0), multipliers(inner);
     }
-    free(drawn_room);
+    close_drawn();
     return broken > 0;
 }

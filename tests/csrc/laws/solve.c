@@ -32,7 +32,8 @@ void mbs_stages_find_lagrangian(mbs_stages *s, mbs_stages_phase *p)
 
 void mbs_stages_stationarity(mbs_stages *s, mbs_stages_phase *p, int barrier, real *out)
 {
-    (void)s, (void)p, (void)barrier, (void)out;
+    (void)s, (void)p, (void)out;
+    LAW("the step is of the barrier's slopes", barrier == 1);
 }
 
 void mbs_stages_newton_solve(mbs_stages *s, mbs_stages_phase *p, const real *c, mbs_stages_direction *d)
