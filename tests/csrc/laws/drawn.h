@@ -17,8 +17,10 @@ static real base[STAGES][FUNCTIONS], linear[STAGES][FUNCTIONS][MOST], bent[STAGE
 static real w_lower[W], w_upper[W], g_least[S], g_most[S], w_scale[W];
 static mbs_stages_problem drawn_problem;
 static mbs_stages *drawn;
-static void *drawn_room, *drawn_apart[10];
+static void *drawn_room, *drawn_apart[15];
 static unsigned drawn_seed = 5;
+static int failing, failing_stage; /* the callback that has no result: 1, values; 2, Jacobians; 3, the Hessian */
+static real held[W]; /* where rows hold */
 
 static inline real pick(void)
 {
@@ -82,7 +84,7 @@ static int drawn_values(void *context, int k, const real *x, const real *v, real
         d[i] = value_of(k, 2 + i, w);
     for (i = 0; i < drawn_sizes[k].ng; ++i)
         g[i] = value_of(k, 2 + count_next(k) + i, w);
-    return 0;
+    return failing == 1 && k == failing_stage;
 }
 
 static int drawn_jacobians(void *context, int k, const real *x, const real *v, real *df, real *de, real *dd, real *dg)
@@ -100,7 +102,7 @@ static int drawn_jacobians(void *context, int k, const real *x, const real *v, r
         for (i = 0; i < drawn_sizes[k].ng; ++i)
             dg[j * drawn_sizes[k].ng + i] = slope_of(k, 2 + count_next(k) + i, w, j);
     }
-    return 0;
+    return failing == 2 && k == failing_stage;
 }
 
 static int drawn_hessian(void *context, int k, const real *x, const real *v, real factor, const real *ye, const real *yd,
@@ -120,7 +122,7 @@ static int drawn_hessian(void *context, int k, const real *x, const real *v, rea
                 sum += yg[row] * bent[k][2 + count_next(k) + row][i][j];
             h[j * n + i] = sum;
         }
-    return 0;
+    return failing == 3 && k == failing_stage;
 }
 
 /* Put an array into memory of its own, beyond whose end nobody reads. */
@@ -185,6 +187,11 @@ static void open_drawn(real curvature, int inner)
     drawn->main.y = set_apart(6, drawn->main.y, ROWS * sizeof(real));
     drawn->main.c = set_apart(7, drawn->main.c, ROWS * sizeof(real));
     drawn->main.slope = set_apart(8, drawn->main.slope, (W + S) * sizeof(real));
+    drawn->dw = set_apart(10, drawn->dw, W * sizeof(real));
+    drawn->dy = set_apart(11, drawn->dy, ROWS * sizeof(real));
+    drawn->rc = set_apart(12, drawn->rc, ROWS * sizeof(real));
+    drawn->best_w = set_apart(13, drawn->best_w, W * sizeof(real));
+    drawn->best_y = set_apart(14, drawn->best_y, ROWS * sizeof(real));
     drawn->main.lagrangian = set_apart(9, drawn->main.lagrangian, (W + S) * sizeof(real));
 }
 
@@ -252,7 +259,7 @@ static inline real row_value(const real *w, int row)
 /* Let the rows hold at a point within the bounds. */
 static inline void let_hold(void)
 {
-    real w[W];
+    real *w = held;
     int i, k, row, at = 0, s = 0;
     for (i = 0; i < W; ++i)
         w[i] = w_lower[i] == w_upper[i] ? w_lower[i] : pick();

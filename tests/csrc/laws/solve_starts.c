@@ -198,6 +198,52 @@ static void warmth(void)
     LAW("and to a higher parameter alone", mbs_stages_start_farther(drawn, p) == 0 && drawn->farther == 0);
 }
 
+/* How far a warm start may begin, and how slacks take the multipliers of their rows. */
+static void distances(void)
+{
+    mbs_stages_options o = mbs_stages_default_options();
+    const real y[2] = {-3, 2};
+    mbs_stages_phase *p;
+    int i;
+    open_drawn(4, 0);
+    let_hold();
+    o.warm_start_init_point = 1, o.scaled = 0;
+    for (i = 0; i < W; ++i)
+        drawn->point.w[i] = held[i];
+    base[1][1] += (real)1e-3;
+    begin(&o);
+    LAW("the square of the violation", fabs(drawn->farther - 1e-6) < 1e-12);
+    base[1][5] -= 100, drawn->point.y[8] = 1, drawn->point.y[9] = y[0]; /* the second row of g: beyond its bounds */
+    g_least[3] = -2, g_most[3] = 3;
+    p = begin(&o);
+    LAW("a slack's lower bound takes a negative multiplier", fabs(p->zl[W + 3] - 3) < 1e-6);
+    base[1][5] += 200, drawn->point.y[9] = y[1];
+    p = begin(&o);
+    LAW("the upper one a positive one", fabs(p->zu[W + 3] - 2) < 1e-6);
+}
+
+/* Callbacks without a result, in each stage. */
+static void failures(void)
+{
+    mbs_stages_options o = mbs_stages_default_options();
+    int warm;
+    for (failing = 1; failing <= 3; ++failing)
+        for (failing_stage = 0; failing_stage < STAGES; ++failing_stage)
+            for (warm = 0; warm < 3; ++warm) {
+                mbs_stages_result r;
+                open_drawn(4, 0);
+                let_hold();
+                o.warm_start_init_point = warm == 1, o.adaptive = warm == 2, o.scaled = warm != 1;
+                r = mbs_stages_solve(drawn, &o);
+                LAW("a solve ends where a callback has no result", r.status == MBS_STAGES_CALLBACK_FAILED);
+                LAW("and names the stage", r.stage == failing_stage);
+                LAW("at once", r.iterations == 0);
+                LAW("the start knows it", mbs_stages_start(drawn) ==
+                        (failing < 3 || warm == 2 ? MBS_STAGES_CALLBACK_FAILED : MBS_STAGES_RUNNING));
+            }
+    failing = 0;
+}
+
 static void barriers(void)
 {
     mbs_stages_options o = mbs_stages_default_options();
@@ -275,12 +321,17 @@ static void refusals(void)
     r = solve();
     LAW("no further bounds become equal", r.status == MBS_STAGES_BAD_PROBLEM && r.stage == 1);
     open_drawn(4, 0);
+    g_least[2] = g_most[2] = 0;
+    r = solve();
+    LAW("of rows, too", r.status == MBS_STAGES_BAD_PROBLEM && r.stage == 1);
+    open_drawn(4, 0);
     w_lower[0] = -1, w_upper[0] = 1, let_hold();
     LAW("fewer may", solve().status == MBS_STAGES_SOLVED);
     for (i = 0; i < 4; ++i) {
         open_drawn(4, 0);
         w_scale[8] = i == 0 ? 0 : i == 1 ? -1 : i == 2 ? 1e19 : (real)NAN;
-        LAW("scales are positive numbers", solve().status == MBS_STAGES_BAD_PROBLEM);
+        r = solve();
+        LAW("scales are positive numbers, of all stages", r.status == MBS_STAGES_BAD_PROBLEM && r.stage == -1);
     }
 }
 
@@ -307,6 +358,11 @@ static void sizes_by_bounds(void)
     o.scale_by_bounds = 1, drawn_problem.upper = NULL;
     begin(&o);
     LAW("where both are there", drawn->variable_scale[6] == 1);
+    open_drawn(4, 0);
+    w_lower[6] = -1e19, w_upper[7] = 1e19, w_scale[6] = w_scale[7] = 4;
+    begin(&o);
+    LAW("a bound of 1e19 is none in any scale", drawn->main.lower[6] <= -1e19 && drawn->main.upper[7] >= 1e19);
+    LAW("and has no multiplier", drawn->main.zl[6] == 0 && drawn->main.zu[7] == 0 && drawn->main.zl[7] == 1);
 }
 
 /* A solution meets its conditions, in the caller's numbers. */
@@ -368,11 +424,16 @@ static void first_errors(void)
     open_drawn(4, 0);
     for (i = 0; i < W; ++i)
         w_scale[i] = i % 3 ? 4 : (real)0.5;
-    linear[1][0][1] = -4000, linear[2][2][0] = -700;
+    linear[1][0][1] = -4000, linear[2][2][0] = -700, linear[0][0][0] = 90000, w_lower[0] = -1;
     guess(1);
     o.max_iter = 0, o.bound_relax_factor = 0;
+    drawn->exact = drawn->unhelped = drawn->is_sharper = drawn->softer = drawn->live = drawn->ready = 7;
+    drawn->softening = MBS_STAGES_SOFTENED, drawn->cost_before = 7;
     r = mbs_stages_solve(drawn, &o), q = &drawn->point;
     LAW("a solve may stop at once", r.status == MBS_STAGES_ITERATION_LIMIT && r.iterations == 0);
+    LAW("and forgets the solve before", !drawn->exact && !drawn->unhelped && !drawn->is_sharper && !drawn->softer);
+    LAW("in real time, too", !drawn->live && !drawn->ready && drawn->softening == MBS_STAGES_HARD);
+    LAW("and its cost", fabs(drawn->cost_before - fabs(r.cost) * drawn->cost_scale) < 1e-9 * drawn->cost_before);
     for (row = 0; row < ROWS; ++row) {
         const real slack = slack_of(row) < 0 ? 0 : drawn->main.x[W + slack_of(row)] / drawn->row_scale[row];
         const real left = fabs(row_value(q->w, row) - slack);
@@ -420,7 +481,7 @@ static void shifts(void)
 
 int main(void)
 {
-    scales(1), scales(0), small_units(), points(0), points(1), warmth(), barriers(), central(), refusals(), sizes_by_bounds();
+    scales(1), scales(0), small_units(), points(0), points(1), warmth(), distances(), failures(), barriers(), central(), refusals(), sizes_by_bounds();
     solutions(), first_errors(), shifts();
     close_drawn();
     return broken > 0;
