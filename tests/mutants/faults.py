@@ -13,7 +13,8 @@ GOLDEN = "tests/test_golden.py"  # shows that something changed, not that it is 
 
 FILES = (  # that faults are drawn in
     "csrc/stages/*.c",
-    *(f"csrc/mbs_{name}.c" for name in ("cone", "explicit", "least", "radau", "stepping", "variational")),
+    *(f"csrc/mbs_{name}.c" for name in ("cone", "dense", "explicit", "least", "many", "radau", "rollout")),
+    *(f"csrc/mbs_{name}.c" for name in ("stepping", "variational")),
     "csrc/program/*.c",
     *(f"python/mbsrun/{name}/*.py" for name in ("controllers", "linearisation", "recordings", "tracking")),
     "python/mbsrun/simulation/**/*.py",
