@@ -13,7 +13,7 @@ GOLDEN = "tests/test_golden.py"  # shows that something changed, not that it is 
 
 FILES = (  # that faults are drawn in
     "csrc/stages/*.c",
-    *(f"csrc/mbs_{name}.c" for name in ("cone", "dense", "explicit", "least", "many", "radau", "rollout")),
+    *(f"csrc/mbs_{name}.c" for name in ("check", "cone", "dense", "explicit", "least", "many", "radau", "rollout")),
     *(f"csrc/mbs_{name}.c" for name in ("stepping", "variational")),
     "csrc/program/*.c",
     *(f"python/mbsrun/{name}/*.py" for name in ("controllers", "linearisation", "recordings", "tracking")),

@@ -125,7 +125,7 @@ static int drawn_hessian(void *context, int k, const real *x, const real *v, rea
     return failing == 3 && k == failing_stage;
 }
 
-/* Put an array into memory of its own, beyond whose end nobody reads. */
+/* Put an array into separate memory, beyond whose end nobody reads. */
 static inline void *set_apart(int place, const void *from, size_t bytes)
 {
     free(drawn_apart[place]);

@@ -123,7 +123,7 @@ static void try(const layout *l, int states, int begin, int end)
     free(a), free(y), free(z), free(status), free(room);
 }
 
-/* The memory that is asked for is that of all numbers and pointers, and little more. */
+/* The memory that is asked for holds all numbers and pointers, and little more. */
 static void room(void)
 {
     const mbs_given in[2] = {{0, 0, 400, 0}, {0, 0, 300, 0}};

@@ -35,7 +35,7 @@ static int is_inner(int i)
     return drawn_sizes[k].inner && i - at == drawn_sizes[k].nx;
 }
 
-/* What the step leaves of the derivative by an unknown: its bounds' multipliers after the step, and curvature. */
+/* The derivative by an unknown after the step, as far as its bounds and its added curvature make it. */
 static real own_part(const mbs_stages *s, const mbs_stages_phase *p, int i, int stage)
 {
     const mbs_stages_direction *d = &p->step;

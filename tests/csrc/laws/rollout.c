@@ -81,7 +81,7 @@ static int alike(double a, double b)
     return fabs(a - b) < 1e-13 * (1 + fabs(a));
 }
 
-/* Without a spring, Euler's method sums inputs, and the midpoint's takes those of its second stage. */
+/* Without a spring, Euler's method sums inputs, and the midpoint method sums inputs of its second stage. */
 static void sums(int by_stage)
 {
     mbs_motion m;

@@ -413,7 +413,7 @@ static void solutions(void)
     }
 }
 
-/* Errors at the first point are those of the caller's functions. */
+/* Errors at the first point are errors of the caller's functions. */
 static void first_errors(void)
 {
     mbs_stages_options o = mbs_stages_default_options();
