@@ -4,18 +4,19 @@ A tree's state is (x, v) = (q, qd), with x' = E(q) qd and v' = qdd. A mechanism 
 coordinates and velocities for (x, v): `close` and `close_rates` give the others, `exp1_red` gives v'. So loops stay
 closed, and no coordinate drifts.
 
-The implicit midpoint rule solves g(a) = a - qdd(q + h/2 qd + h^2/4 a, qd + h/2 a) = 0 by Newton's method, outside of
-all derivatives. Then two more steps a - G^-1 g(a) with the last, constant matrix G follow inside. They change no value.
-The first one has the first derivatives of the solution, since g is 0; the second one has the second derivatives, since
-the first derivatives of g are 0, too.
+The implicit midpoint rule solves g(a) = a - v'(x + h/2 v + h^2/4 a, v + h/2 a) = 0 by Newton's method, outside of all
+derivatives. Then two more steps a - G^-1 g(a) with the last, constant matrix G follow inside. They change no value. The
+first one has the first derivatives of the solution, since g is 0; the second one has the second derivatives, since the
+first derivatives of g are 0, too. With quaternions the unknowns are z = x' and a = v', both in the middle:
+z = E(x + h/2 z) (v + h/2 a). As z is perpendicular to the middle of a quaternion, its length stays.
 """
 
 from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, TypeVar
+from dataclasses import dataclass, replace
+from typing import Any, Self, TypeVar
 
 import numpy as np
 
@@ -42,9 +43,9 @@ class SteppingFace(Face[A]):
     ) -> tuple[A, A]:
         """Return q and qd after a step of length h [s], in which the other inputs stay as they are.
 
-        `method` is euler, rk4 or the implicit midpoint, for trees without quaternions. A step whose equations are not
-        solved gives results that are not a number. `dynamics` is the function that gives accelerations: exp, and
-        exp1_red for closed loops. The loops of the given state are closed. Raises ArgumentError for anything else.
+        `method` is euler, rk4 or the implicit midpoint. A step whose equations are not solved gives results that are
+        not a number. `dynamics` is the function that gives accelerations: exp, and exp1_red for closed loops. The loops
+        of the given state are closed. Raises ArgumentError for anything else.
         """
         flow = self._make_flow(method, dynamics, inputs)
         return flow.step(self._read(q), self._read(qd), h)
@@ -75,8 +76,8 @@ class SteppingFace(Face[A]):
         """Return an array as a constant of all derivatives."""
 
     @abstractmethod
-    def _slope(self, name: str, inputs: Mapping[str, Any]) -> tuple[Any, Any]:
-        """Return the Jacobians of a function's first result by q and qd, as constants."""
+    def _slope(self, name: str, inputs: Mapping[str, Any], by: Sequence[str]) -> tuple[Any, ...]:
+        """Return the Jacobians of a function's first result by some inputs, as constants."""
 
     @abstractmethod
     def _solve(self, matrices: A, vectors: A) -> A:
@@ -86,23 +87,19 @@ class SteppingFace(Face[A]):
     def _keep(self, is_right: Any, array: A) -> A:
         """Return an array, not a number where it is not right."""
 
-    def _make_flow(self, method: str, dynamics: str | None, inputs: Mapping[str, Any]) -> _Flow:
+    def _make_flow(self, method: str, dynamics: str | None, inputs: Mapping[str, Any]) -> _Flow | _Midpoint:
         if method not in (*FIXED, MIDPOINT):
             raise ArgumentError(f"method: {method!r} given; there are {', '.join(FIXED)}, {MIDPOINT}")
         manifest = self.manifest
-        if method == MIDPOINT:
-            if manifest.loops or manifest.quaternions or manifest.driven:
-                raise ArgumentError(
-                    f"{manifest.model}: {MIDPOINT} steps trees without quaternions and driven joints; take rk4"
-                )
-            return _MidpointFlow(self, FIXED["euler"], dynamics or QUICKEST, inputs)
-        if not manifest.loops:
-            return _Flow(self, FIXED[method], dynamics or QUICKEST, inputs)
-        if manifest.quaternions or manifest.driven:
+        if manifest.driven or (manifest.loops and manifest.quaternions):
             raise ArgumentError(
-                f"{manifest.model}: steps of closed loops with quaternions or driven joints are not made"
+                f"{manifest.model}: steps of driven joints, and of closed loops with quaternions, are not made"
             )
-        return _ClosedFlow(self, FIXED[method], dynamics or "exp1_red", inputs)
+        kind, own = (_ClosedFlow, "exp1_red") if manifest.loops else (_Flow, QUICKEST)
+        if method != MIDPOINT:
+            return kind(self, FIXED[method], dynamics or own, inputs)
+        flow = kind(self, FIXED["euler"], dynamics or own, inputs)
+        return _TurningMidpoint(flow) if manifest.quaternions else _Midpoint(flow)
 
     def _count_steps(self, steps: int | None, along: Mapping[str, Any], inputs: Mapping[str, Any]) -> int:
         if not (steps is None or is_count(steps, 0)):
@@ -123,15 +120,16 @@ class SteppingFace(Face[A]):
 
 
 def choose_slopes(
-    operator: Operator, blocks: Sequence[Any], make_zeros: Callable[[tuple[int, int]], Any]
-) -> tuple[Any, Any]:
-    """Return the blocks of the first result by q and qd, of all blocks of a Jacobian; zeros in place of absent ones."""
-    names = [port.argument.name for port in operator.value.given]
-    size = operator.value.sizes[0]
+    operator: Operator, blocks: Sequence[Any], by: Sequence[str], make_zeros: Callable[[tuple[int, int]], Any]
+) -> tuple[Any, ...]:
+    """Return the blocks of the first result by some inputs, of all blocks of a Jacobian; zeros for absent ones."""
+    sizes = {port.argument.name: port.argument.nnz for port in operator.value.given}
+    names = list(sizes)
     found = {
         names[block.by]: array for block, array in zip(operator.jacobian.blocks, blocks, strict=True) if block.of == 0
     }
-    return found.get("q", make_zeros((size, size))), found.get("qd", make_zeros((size, size)))
+    rows = operator.value.sizes[0]
+    return tuple(found[name] if name in found else make_zeros((rows, sizes[name])) for name in by)
 
 
 def divide(steps: int) -> tuple[int, int, int]:
@@ -174,47 +172,32 @@ class _Flow:
     def accelerate(self, q: Any, v: Any) -> Any:
         return self._call(self.dynamics, Role.ACCELERATION, q=q, qd=v, **self.inputs)
 
+    def linearise(self, q: Any, v: Any) -> tuple[Any, ...]:
+        """Return the derivatives of the accelerations by x and v, as constants."""
+        return self.face._slope(self.dynamics, {"q": q, "qd": v, **self.inputs}, ("q", "qd"))
+
+    def linearise_rate(self, q: Any, v: Any) -> tuple[Any, ...]:
+        """Return the derivatives of x' by x and v, as constants."""
+        return self.face._slope("rates", {"q": q, "qd": v, **self._list_parameters("rates")}, ("q", "qd"))
+
+    def hold(self) -> Self:
+        """Return the same equations, whose inputs are constants of all derivatives."""
+        face = self.face
+        return replace(self, inputs={name: face._still(face._read(x)) for name, x in self.inputs.items()})
+
     def _call(self, name: str, role: Role, **given: Any) -> Any:
         """Call a function, with the parameters that it takes, and return its result of a role."""
-        entry = self.face._find(name).value.entry
-        taken = {entry.hidden, entry.design, VALUES if entry.hidden else None}
-        parameters = {key: value for key, value in self.inputs.items() if key in taken}
+        entry, parameters = self.face._find(name).value.entry, self._list_parameters(name)
         found = next((a.name for a in entry.kernel.outputs if a.role is role), None)
         if found is None:
             raise ArgumentError(f"{name} gives no {role.value}")
         return self.face(name, **{**given, **parameters})[found]
 
-
-@dataclass(frozen=True)
-class _MidpointFlow(_Flow):
-    """The equations of motion of a tree, stepped by the implicit midpoint rule."""
-
-    def step(self, q: Any, qd: Any, h: Any) -> tuple[Any, Any]:
-        face = self.face
-        constant = _MidpointFlow(
-            face, self.tableau, self.dynamics, {name: face._still(face._read(x)) for name, x in self.inputs.items()}
-        )
-        start = face._still(q), face._still(qd)
-        a = 0.0 * start[1]  # a large one would lead far from stiff springs
-        for _ in range(NEWTON):
-            a = a - face._solve(constant.linearise(*start, h, a), constant.residual(*start, h, a))
-        matrix, gap = constant.linearise(*start, h, a), constant.residual(*start, h, a)
-        a = face._keep(abs(gap).sum(-1) <= SOLVED * (1 + abs(a).sum(-1)), a)
-        for _ in range(2):
-            a = a - face._solve(matrix, self.residual(q, qd, h, a))
-        return q + h * qd + h**2 / 2 * a, qd + h * a
-
-    def middle(self, q: Any, qd: Any, h: Any, a: Any) -> tuple[Any, Any]:
-        return q + h / 2 * qd + h**2 / 4 * a, qd + h / 2 * a
-
-    def residual(self, q: Any, qd: Any, h: Any, a: Any) -> Any:
-        return a - self.accelerate(*self.middle(q, qd, h, a))
-
-    def linearise(self, q: Any, qd: Any, h: Any, a: Any) -> Any:
-        """Return the derivative of the residual by a."""
-        pose, speed = self.middle(q, qd, h, a)
-        by_pose, by_speed = self.face._slope(self.dynamics, {"q": pose, "qd": speed, **self.inputs})
-        return self.face._read(np.eye(by_pose.shape[-1])) - h**2 / 4 * by_pose - h / 2 * by_speed
+    def _list_parameters(self, name: str) -> Mapping[str, Any]:
+        """List the given parameters that a function takes."""
+        entry = self.face._find(name).value.entry
+        taken = {entry.hidden, entry.design, VALUES if entry.hidden else None}
+        return {key: value for key, value in self.inputs.items() if key in taken}
 
 
 @dataclass(frozen=True)
@@ -238,12 +221,94 @@ class _ClosedFlow(_Flow):
     def accelerate(self, q: Any, v: Any) -> Any:
         return self._call(self.dynamics, Role.ACCELERATION, q=q, yd=v, **self.inputs)
 
+    def linearise(self, q: Any, v: Any) -> tuple[Any, ...]:
+        by_pose, by_speed = self.face._slope(self.dynamics, {"q": q, "yd": v, **self.inputs}, ("q", "yd"))
+        (closing,) = self.face._slope("close", {"q": q, **self._list_parameters("close")}, ("q",))
+        return by_pose @ closing @ self._choose(self.face.manifest.independent), by_speed
+
     def _list_others(self) -> Sequence[int]:
         manifest = self.face.manifest
         return [i for i in range(len(manifest.coordinates)) if i not in manifest.independent]
 
     def _choose(self, entries: Sequence[int]) -> Any:
         return self.face._read(np.eye(len(self.face.manifest.coordinates))[:, list(entries)])
+
+
+@dataclass(frozen=True)
+class _Midpoint:
+    """Steps of equations of motion by the implicit midpoint rule; the unknowns w are the accelerations v'."""
+
+    flow: _Flow
+
+    def step(self, q: Any, qd: Any, h: Any) -> tuple[Any, Any]:
+        face, constant = self.flow.face, replace(self, flow=self.flow.hold())
+        start = face._still(q), face._still(qd)
+        w = constant.begin(*start)
+        for _ in range(NEWTON):
+            w = w - face._solve(constant.linearise(*start, h, w), constant.residual(*start, h, w))
+        matrix, gap = constant.linearise(*start, h, w), constant.residual(*start, h, w)
+        w = face._keep(abs(gap).sum(-1) <= SOLVED * (1 + abs(w).sum(-1)), w)
+        for _ in range(2):
+            w = w - face._solve(matrix, self.residual(q, qd, h, w))
+        return self.finish(q, qd, h, w)
+
+    def begin(self, q: Any, qd: Any) -> Any:
+        return 0.0 * self.flow.split(q, qd)[1]  # a large acceleration would lead far from stiff springs
+
+    def middle(self, q: Any, qd: Any, h: Any, w: Any) -> tuple[Any, Any]:
+        x, v = self.flow.split(q, qd)
+        return self.flow.place(q, x + h / 2 * v + h**2 / 4 * w), v + h / 2 * w
+
+    def residual(self, q: Any, qd: Any, h: Any, w: Any) -> Any:
+        return w - self.flow.accelerate(*self.middle(q, qd, h, w))
+
+    def linearise(self, q: Any, qd: Any, h: Any, w: Any) -> Any:
+        """Return the derivative of the residual by the unknowns."""
+        by_pose, by_speed = self.flow.linearise(*self.middle(q, qd, h, w))
+        return self.flow.face._read(np.eye(by_pose.shape[-1])) - h**2 / 4 * by_pose - h / 2 * by_speed
+
+    def finish(self, q: Any, qd: Any, h: Any, w: Any) -> tuple[Any, Any]:
+        x, v = self.flow.split(q, qd)
+        return self.flow.join(self.flow.place(q, x + h * v + h**2 / 2 * w), v + h * w)
+
+
+@dataclass(frozen=True)
+class _TurningMidpoint(_Midpoint):
+    """The same with quaternions; the unknowns w are x' and then v'."""
+
+    def begin(self, q: Any, qd: Any) -> Any:
+        return self.flow.find_rate(q, qd) @ self._list_rows()[0]
+
+    def middle(self, q: Any, qd: Any, h: Any, w: Any) -> tuple[Any, Any]:
+        rate, acceleration = self._split(w)
+        return q + h / 2 * rate, qd + h / 2 * acceleration
+
+    def residual(self, q: Any, qd: Any, h: Any, w: Any) -> Any:
+        pose, speed = self.middle(q, qd, h, w)
+        rates, accelerations = self._list_rows()
+        return w - self.flow.find_rate(pose, speed) @ rates - self.flow.accelerate(pose, speed) @ accelerations
+
+    def linearise(self, q: Any, qd: Any, h: Any, w: Any) -> Any:
+        """Return the derivative of the residual by the unknowns."""
+        state, (rates, accelerations) = self.middle(q, qd, h, w), self._list_rows()
+        both = (rates, self.flow.linearise_rate(*state)), (accelerations, self.flow.linearise(*state))
+        slopes = (rows.T @ (by_pose @ rates + by_speed @ accelerations) for rows, (by_pose, by_speed) in both)
+        return self.flow.face._read(np.eye(w.shape[-1])) - h / 2 * sum(slopes)
+
+    def finish(self, q: Any, qd: Any, h: Any, w: Any) -> tuple[Any, Any]:
+        rate, acceleration = self._split(w)
+        return q + h * rate, qd + h * acceleration
+
+    def _split(self, w: Any) -> tuple[Any, Any]:
+        rates, accelerations = self._list_rows()
+        return w @ rates.T, w @ accelerations.T
+
+    def _list_rows(self) -> tuple[Any, Any]:
+        """Return the rows of a unit matrix: of the entries of x', and of v'."""
+        manifest = self.flow.face.manifest
+        nq, n = len(manifest.positions), len(manifest.coordinates)
+        rows = np.eye(nq + n)
+        return self.flow.face._read(rows[:nq]), self.flow.face._read(rows[nq:])
 
 
 def _add(start: Any, h: Any, row: Sequence[float], terms: Sequence[Any]) -> Any:

@@ -50,11 +50,11 @@ class Functions(SteppingFace[Any]):
     def _still(self, array: Any) -> Any:
         return jax.lax.stop_gradient(array)
 
-    def _slope(self, name: str, inputs: Mapping[str, Any]) -> tuple[Any, Any]:
+    def _slope(self, name: str, inputs: Mapping[str, Any], by: Sequence[str]) -> tuple[Any, ...]:
         operator, arrays = self._lay(name, inputs)
         found = primitives.call(operator, Order.JACOBIAN, *map(jax.lax.stop_gradient, arrays))
         wide = [primitives.spread(block, found[block.number]) for block in operator.jacobian.blocks]
-        return choose_slopes(operator, wide, jnp.zeros)
+        return choose_slopes(operator, wide, by, jnp.zeros)
 
     def _solve(self, matrices: Any, vectors: Any) -> Any:
         return jnp.linalg.solve(matrices, vectors[..., None])[..., 0]

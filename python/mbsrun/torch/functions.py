@@ -133,11 +133,11 @@ class Functions(SteppingFace[torch.Tensor]):
     def _still(self, array: torch.Tensor) -> torch.Tensor:
         return array.detach()
 
-    def _slope(self, name: str, inputs: Mapping[str, Any]) -> tuple[Any, Any]:
+    def _slope(self, name: str, inputs: Mapping[str, Any], by: Sequence[str]) -> tuple[Any, ...]:
         operator, arrays = self._lay(name, inputs)
         found = calls.call(operator, Order.JACOBIAN, [array.detach() for array in arrays])
         wide = [calls.spread(block, found[block.number]) for block in operator.jacobian.blocks]
-        return choose_slopes(operator, wide, lambda shape: torch.zeros(shape, dtype=torch.float64))
+        return choose_slopes(operator, wide, by, lambda shape: torch.zeros(shape, dtype=torch.float64))
 
     def _solve(self, matrices: torch.Tensor, vectors: torch.Tensor) -> torch.Tensor:
         solution: torch.Tensor = torch.linalg.solve_ex(matrices, vectors[..., None])[0][..., 0]
