@@ -21,7 +21,7 @@ from mbsrun.closure import Closure
 from mbsrun.simulation.drive import Piece
 from mbsrun.simulation.dynamics import Dynamics
 from mbsrun.simulation.formulation import Formulation
-from mbsrun.simulation.integration.joints import HELD, Joints
+from mbsrun.simulation.integration.joints import Joints, are_held
 from mbsrun.simulation.motion import FORCE, PLACE, SPEED, Guard, Jump, Segment
 
 Array = NDArray[np.float64]
@@ -150,7 +150,7 @@ class JointField(Field):
 
     def list_held(self, segment: Segment) -> list[int]:
         """List the joints whose forces follow from their accelerations; others at rest stand with them."""
-        resting = np.flatnonzero(np.isin(segment.modes, HELD)) if segment.locking is None else segment.locking
+        resting = np.flatnonzero(are_held(segment.modes)) if segment.locking is None else segment.locking
         return sorted({*map(int, resting), *self.joints.driven})
 
     def find_signs(self, segment: Segment) -> NDArray[np.int_]:
@@ -162,14 +162,14 @@ class JointField(Field):
         """Return the forces on joints at rest that stay as they are, (n,)."""
         if segment.locking is None:
             return np.zeros(self.dynamics.size)
-        constant = np.isin(segment.modes, HELD)
+        constant = are_held(segment.modes)
         constant[list(segment.locking)] = False
         return np.where(constant, np.array(segment.forces), 0.0)
 
     def restrain(self, q: Array, qd: Array, segment: Segment) -> tuple[Array, Array, Array, Array]:
         """Return the rows that hold velocities and positions of loops, joints at rest and driven ones."""
         held, driven, n = self.list_held(segment), self.joints.driven, self.dynamics.size
-        still = np.eye(n)[sorted({*held, *np.flatnonzero(np.isin(segment.modes, HELD)).tolist()})]
+        still = np.eye(n)[sorted({*held, *np.flatnonzero(are_held(segment.modes)).tolist()})]
         J = np.concatenate((self.closure.jacobian(q)[0], still))
         by_q, h_q = np.zeros((len(J), self.places)), np.zeros((0, self.places))
         if self.closure.count:

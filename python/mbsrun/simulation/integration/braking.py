@@ -15,7 +15,7 @@ from mbsrun.simulation.drive import Piece
 from mbsrun.simulation.dynamics import Dynamics
 from mbsrun.simulation.integration.events import Course
 from mbsrun.simulation.integration.explicit import Brakes, Loads, Pair, Plant
-from mbsrun.simulation.integration.joints import HELD, STILL, TOUCH, Joints, name_change
+from mbsrun.simulation.integration.joints import STILL, TOUCH, Joints, are_held, name_change
 from mbsrun.simulation.integration.steps import count_steps
 from mbsrun.simulation.motion import (
     PLACE,
@@ -112,7 +112,7 @@ class BrakedCourse(Course):
     def bounces(self) -> bool:
         """Return whether impacts are passed in C: no joint rests, and the restitution of one throws it back."""
         assert self.modes is not None, "a mode was found"
-        return not np.isin(self.modes, HELD).any() and bool((self.joints.restitution > 0).any())
+        return not are_held(self.modes).any() and bool((self.joints.restitution > 0).any())
 
     def describe(
         self,

@@ -121,7 +121,7 @@ class Contacts:
         K, points, _, n = slide.shape
         by_q = slopes["jac_slide_q"].reshape(K, n, points, 3, q.shape[1])  # column by column
         turn = np.einsum("kpiq,kq->kpi", slopes["jac_direction_q"].reshape(K, points, 3, q.shape[1]), rates)
-        drift = np.einsum("knpiq,kq,kn->kpi", by_q, rates, qd, optimize=True)
+        drift = np.einsum("knpi,kn->kpi", (by_q @ rates[:, None, None, :, None])[..., 0], qd)
         pull = (turn * velocity).sum(axis=2) + (normal * drift).sum(axis=2)
         reach = np.einsum("kpin,kn->kpi", np.abs(slide), np.abs(qd)).max(axis=2)
         return Touch(gap, normal, slide, velocity, pull, drift, reach)

@@ -3,8 +3,10 @@
     M qdd + c = Q + J^T lam + forces,    J qdd + gamma = 0
 
 Loops leave the velocities N x of joints that are not driven, with M = L L^T, B = J L^-T and N = L^-T ker B. Forces on
-joints accelerate them by W = N N^T, of which `factor` is N^T. Where loops lock joints, W is singular, and several
-distributions of forces hold the same joints.
+joints accelerate them by W = N N^T = L^-T P L^-1, P the projection on ker B, of which `factor` is P L^-1. Where loops
+lock joints, W is singular, and several distributions of forces hold the same joints.
+
+All is computed for one state, or for any leading axes of states in the same modes.
 """
 
 from __future__ import annotations
@@ -12,58 +14,64 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from mbsrun.closure import Closure
 from mbsrun.kernel import KernelError
 from mbsrun.simulation.dynamics import Dynamics, SingularError
 from mbsrun.simulation.formulation import Formulation
-from mbsrun.simulation.integration.joints import HELD, Joints
+from mbsrun.simulation.integration.joints import Joints, are_held
 
 Array = NDArray[np.float64]
+Modes = NDArray[np.int_]
+Results = tuple[Array, Array, Array]  # accelerations, multipliers, forces of driven joints
 
 RANK = 1e-8  # of the singular values of B, relative to the first: smaller ones are 0, as in C
 LOCKED = 1e-6  # of a joint's response without loops: one that has less left is locked
+MANY = 1000  # states that are computed at once: more need much memory
 
 
 @dataclass(frozen=True, eq=False)
 class Inertia:
-    """The inertia of a mechanism at a pose; (f,) are the joints that are not driven."""
+    """The inertia of a mechanism at poses; (f,) are the joints that are not driven."""
 
-    M: Array  # (n, n)
-    J: Array  # (e, n)
+    M: Array  # (..., n, n)
+    J: Array  # (..., e, n)
     moving: NDArray[np.intp]  # (f,)
-    free: Array  # (f, f): L^-1
-    factor: Array  # (k, f): N^T, the same without loops
-    pull: Array  # (f, e): L^-T B^+
+    free: Array  # (..., f, f): L^-1
+    factor: Array  # (..., f, f): P L^-1, the same without loops
+    pull: Array  # (..., f, e): L^-T B^+
 
     def respond(self, chosen: NDArray[np.intp]) -> Array:
-        """Return the accelerations (n, m) by a unit force on each of the chosen joints; driven joints have none."""
-        found = np.zeros((len(self.M), len(chosen)))
-        found[self.moving] = self.factor.T @ self.factor[:, self.find(chosen)]
+        """Return accelerations (..., n, m) by a unit force on each of the chosen joints; driven joints have none."""
+        found = np.zeros((*self.M.shape[:-1], len(chosen)))
+        found[..., self.moving, :] = self.factor.mT @ self.factor[..., self.find(chosen)]
         return found
+
+    def move(self, forces: Array) -> Array:
+        """Return the accelerations of moving joints (..., f) by forces on them (..., f)."""
+        return _apply(self.factor.mT, _apply(self.factor, forces))
 
     def find(self, chosen: NDArray[np.intp]) -> NDArray[np.intp]:
         """Return where chosen joints are among the moving ones."""
         return np.searchsorted(self.moving, chosen)
 
     def measure(self, chosen: NDArray[np.intp]) -> Array:
-        """Return the accelerations of joints by unit forces on them, were there no loops, (m,)."""
-        return np.asarray((self.free[:, self.find(chosen)] ** 2).sum(axis=0))
+        """Return the accelerations of joints by unit forces on them, were there no loops, (..., m)."""
+        return np.asarray((self.free[..., self.find(chosen)] ** 2).sum(axis=-2))
 
     def scale(self, chosen: NDArray[np.intp]) -> Array:
-        """Return the columns of `factor` of joints, relative to their lengths without loops, (k, m)."""
-        return np.asarray(self.factor[:, self.find(chosen)] / np.sqrt(self.measure(chosen)))
+        """Return the columns of `factor` of joints, relative to their lengths without loops, (..., f, m)."""
+        return np.asarray(self.factor[..., self.find(chosen)] / np.sqrt(self.measure(chosen))[..., None, :])
 
     def are_independent(self, chosen: NDArray[np.intp]) -> bool:
-        """Return whether the chosen joints can be held by one distribution of forces alone."""
-        if not len(self.J) or not chosen.size:
+        """Return whether the chosen joints can be held by one distribution of forces alone, in all states."""
+        if not self.J.shape[-2] or not chosen.size:
             return True
-        columns = self.scale(chosen)
-        return columns.shape[0] >= chosen.size and bool(np.linalg.svd(columns, compute_uv=False)[-1] > LOCKED)
+        return bool((np.linalg.svd(self.scale(chosen), compute_uv=False)[..., -1] > LOCKED).all())
 
     def choose(self, chosen: NDArray[np.intp], slack: Array) -> NDArray[np.intp]:
-        """Choose joints that lock all the chosen ones by one distribution of forces; most slack goes first."""
+        """Choose joints that lock all the chosen ones in one state by one distribution; most slack goes first."""
         if self.are_independent(chosen):
             return chosen
         most = len(self.moving) - len(self.J)
@@ -89,55 +97,79 @@ class Forces:
         self.moving = np.flatnonzero(~self.joints.is_driven)
 
     def weigh(self, q: Array, qd: Array, v: Array) -> Inertia:
-        """Compute the inertia at a pose. Raises KernelError and SingularError."""
+        """Compute the inertia at poses. Raises KernelError and SingularError."""
         M, moving = self.dynamics.mass_matrix(q, qd, v), self.moving
         J = self.closure.jacobian(q)
         free = np.asarray(np.linalg.inv(self.dynamics.factorise(M, moving)), dtype=np.float64)
-        if not len(J):
-            return Inertia(M, J, moving, free, free, np.zeros((len(moving), 0)))
-        U, sizes, V = np.linalg.svd(J[:, moving] @ free.T)
-        rank = int((sizes > RANK * sizes.max(initial=0.0)).sum())
-        pull = np.asarray(free.T @ (V[:rank].T / sizes[:rank]) @ U[:, :rank].T)
-        return Inertia(M, J, moving, free, np.asarray(V[rank:] @ free), pull)
+        if not J.shape[-2]:
+            return Inertia(M, J, moving, free, free, np.zeros((*free.shape[:-1], 0)))
+        U, sizes, V = np.linalg.svd(J[..., moving] @ free.mT, full_matrices=False)
+        is_felt = sizes > RANK * sizes.max(axis=-1, keepdims=True, initial=0.0)
+        inverse = np.divide(1.0, sizes, out=np.zeros_like(sizes), where=is_felt)
+        factor = free - (V.mT * is_felt[..., None, :]) @ (V @ free)
+        return Inertia(M, J, moving, free, factor, free.mT @ (V.mT * inverse[..., None, :]) @ U.mT)
 
     def accelerate(
-        self, time: float, q: Array, qd: Array, v: Array, inertia: Inertia, modes: NDArray[np.int_], forces: Array
+        self, time: ArrayLike, q: Array, qd: Array, v: Array, inertia: Inertia, modes: Modes, forces: Array
     ) -> Array:
-        """Compute the accelerations under the friction of sliding joints and forces on joints at rest, (n,)."""
+        """Compute the accelerations under the friction of sliding joints and forces on joints at rest, (..., n)."""
         qdd, moving = np.zeros_like(qd), self.moving
-        qdd[self.joints.driven] = self.dynamics.course.at(time)[2]
+        if self.joints.driven:
+            t = np.asarray(time, dtype=np.float64)
+            qdd[..., self.joints.driven] = self.dynamics.course.states(t.ravel())[2].reshape(*t.shape, -1)
         right = forces + self.rub(qd, modes) - self.dynamics.residual(q, qd, qdd, v, self._no_multipliers)
-        qdd[moving] = inertia.factor.T @ (inertia.factor @ right[moving])
-        if len(inertia.J):
-            driven = inertia.J @ np.where(self.joints.is_driven, qdd, 0.0)
-            qdd[moving] -= inertia.pull @ (self.closure.bias(q, qd) + driven)
-        qdd[np.isin(modes, HELD)] = 0.0
+        if inertia.J.shape[-2]:
+            bias = self.closure.bias(q, qd) + _apply(inertia.J, qdd)
+            qdd[..., moving] = inertia.move(right[..., moving]) - _apply(inertia.pull, bias)
+        else:
+            qdd[..., moving] = inertia.move(right[..., moving])
+        qdd[..., are_held(modes)] = 0.0
         return qdd
 
-    def rub(self, qd: Array, modes: NDArray[np.int_]) -> Array:
-        """Return the friction of sliding joints, (n,)."""
+    def rub(self, qd: Array, modes: Modes) -> Array:
+        """Return the friction of sliding joints, (..., n)."""
         return np.asarray(-np.where(np.abs(modes) == 1, modes, 0) * self.joints.rub(qd))
 
-    def find_all(self, t: Array, q: Array, qd: Array, v: Array, modes: NDArray[np.int_]) -> tuple[Array, Array, Array]:
+    def find_all(self, t: Array, q: Array, qd: Array, v: Array, modes: Modes) -> Results:
         """Return accelerations (K, n), multipliers (K, e) and forces of driven joints (K, d) in modes (K, n).
 
         They are not counted as effort, and NaN where they fail.
         """
         sizes = qd.shape[1], len(self.closure.manifest.owners), len(self.joints.driven)
         qdds, lams, taus = (np.full((len(t), size), np.nan) for size in sizes)
-        for k, row in enumerate(modes):
-            try:
-                inertia = self.weigh(q[k], qd[k], v[k])
-                state = float(t[k]), q[k], qd[k], v[k]
-                forces = self.hold(*state, inertia, row)
-                qdd = self.accelerate(*state, inertia, row, forces)
-                rest = self.dynamics.residual(q[k], qd[k], qdd, v[k], self._no_multipliers)
-            except (KernelError, SingularError):
-                continue
-            rest -= forces + self.rub(qd[k], row)
-            lam = np.linalg.lstsq(inertia.J[:, self.moving].T, rest[self.moving], rcond=RANK)[0]
-            qdds[k], lams[k], taus[k] = qdd, lam, (rest - inertia.J.T @ lam)[self.joints.driven]
+        rows, kinds = np.unique(modes, axis=0, return_inverse=True)
+        for kind, row in enumerate(rows):
+            chosen = np.flatnonzero(kinds.ravel() == kind)
+            for part in np.split(chosen, range(MANY, len(chosen), MANY)):
+                self._fill((qdds, lams, taus), part, (t, q, qd, v), row)
         return qdds, lams, taus
+
+    def _fill(
+        self, found: Results, chosen: NDArray[np.intp], states: tuple[Array, Array, Array, Array], modes: Modes
+    ) -> None:
+        """Compute what is asked for of chosen states, all in the same modes; one by one where one of them fails."""
+        try:
+            t, q, qd, v = (x[chosen] for x in states)
+            for result, values in zip(found, self._find_alike(t, q, qd, v, modes), strict=True):
+                result[chosen] = values
+        except (KernelError, SingularError):
+            for one in chosen[:, None] if chosen.size > 1 else ():
+                self._fill(found, one, states, modes)
+
+    def _find_alike(self, t: Array, q: Array, qd: Array, v: Array, modes: Modes) -> Results:
+        inertia = self.weigh(q, qd, v)
+        forces = self.hold(t, q, qd, v, inertia, modes)
+        qdd = self.accelerate(t, q, qd, v, inertia, modes, forces)
+        rest = self.dynamics.residual(q, qd, qdd, v, self._no_multipliers) - forces - self.rub(qd, modes)
+        lam, driving = self._share(inertia, rest)
+        return qdd, lam, driving
+
+    def _share(self, inertia: Inertia, rest: Array) -> tuple[Array, Array]:
+        """Return multipliers (..., e) that balance `rest` (..., n) at moving joints, and the forces of driven ones."""
+        if not inertia.J.shape[-2]:
+            return np.zeros((*rest.shape[:-1], 0)), rest[..., self.joints.driven]
+        lam = _apply(np.linalg.pinv(inertia.J[..., self.moving].mT, rcond=RANK), rest[..., self.moving])
+        return lam, (rest - _apply(inertia.J.mT, lam))[..., self.joints.driven]
 
     def find_work(
         self, inertia: Inertia, before: Array, after: Array, joints: NDArray[np.intp], impulses: Array
@@ -147,26 +179,30 @@ class Forces:
             return 0.0
         rest = inertia.M @ (after - before)
         rest[joints] -= impulses
-        lam = np.linalg.lstsq(inertia.J[:, self.moving].T, rest[self.moving], rcond=RANK)[0]
-        return float((rest - inertia.J.T @ lam)[self.joints.driven] @ before[self.joints.driven])
+        return float(self._share(inertia, rest)[1] @ before[self.joints.driven])
 
-    def drive(self, t: Array, q: Array, qd: Array, v: Array, modes: NDArray[np.int_]) -> Array:
+    def drive(self, t: Array, q: Array, qd: Array, v: Array, modes: Modes) -> Array:
         """Return the forces of driven joints (K, d) in modes (K, n); NaN where they fail."""
         return self.find_all(t, q, qd, v, modes)[2]
 
-    def hold(self, time: float, q: Array, qd: Array, v: Array, inertia: Inertia, modes: NDArray[np.int_]) -> Array:
-        """Return the forces that hold joints at rest, (n,): the least ones where several do."""
-        held, forces = np.flatnonzero(np.isin(modes, HELD)), np.zeros(len(qd))
+    def hold(self, time: Array, q: Array, qd: Array, v: Array, inertia: Inertia, modes: Modes) -> Array:
+        """Return the forces that hold joints at rest, (..., n): the least ones where several do."""
+        held, forces = np.flatnonzero(are_held(modes)), np.zeros_like(qd)
         if held.size:
-            free = self.accelerate(time, q, qd, v, inertia, np.where(np.isin(modes, HELD), 0, modes), forces)
-            A = inertia.respond(held)[held]
+            free = self.accelerate(time, q, qd, v, inertia, np.where(are_held(modes), 0, modes), forces)[..., held]
+            A = inertia.respond(held)[..., held, :]
             if inertia.are_independent(held):
-                forces[held] = -np.linalg.solve(A, free[held])
+                forces[..., held] = -np.linalg.solve(A, free[..., None])[..., 0]
             else:
-                forces[held] = -np.linalg.lstsq(A, free[held], rcond=LOCKED**2)[0]
+                forces[..., held] = -_apply(np.linalg.pinv(A, rcond=LOCKED**2), free)
         return forces
 
     @property
     def _no_multipliers(self) -> Array | None:
         count = len(self.closure.manifest.owners)
         return np.zeros(count) if count else None
+
+
+def _apply(A: NDArray[np.floating], x: Array) -> Array:
+    """Multiply matrices (..., m, n) with vectors (..., n)."""
+    return np.asarray((A @ x[..., None])[..., 0])

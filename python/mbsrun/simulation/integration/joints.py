@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from mbsgen.manifest import Manifest
 from mbsrun.simulation.integration.explicit import Brakes
@@ -20,7 +20,12 @@ Array = NDArray[np.float64]
 TOUCH = 1e-12  # m, rad: a joint that is as near to a stop touches it
 STILL = 1e-13  # of the fastest velocity: a slower joint rests
 SLACK = 2e-14  # of the forces of a joint: by how much the force that holds it may exceed the most that can
-HELD = (Mode.STICKS, Mode.LOWER, Mode.UPPER)
+RESTS = int(Mode.STICKS)  # the first of the modes in which a joint is at rest
+
+
+def are_held(modes: ArrayLike) -> NDArray[np.bool_]:
+    """Return whether joints rest, by their modes: they stick, or rest on a stop."""
+    return np.asarray(modes) >= RESTS
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +100,7 @@ class Joints:
         fall = np.where(self.stribeck > 0, self.static - self.torque, 0.0)
         sign = np.where(np.abs(modes) == 1, modes, 0).astype(np.float64)
         held = np.isin(np.arange(len(modes)), locking)
-        rests = np.isin(modes, HELD) & ~held
+        rests = are_held(modes) & ~held
         torque = np.where(rests, -forces, self.torque)
         return Brakes(
             held.astype(int).tolist(), np.where(rests, 1.0, sign), torque, np.where(rests, 0.0, fall), slowness
@@ -106,7 +111,7 @@ class Joints:
         found = []
         for i, mode in enumerate(modes):
             place = self.place[i]
-            if mode in HELD:
+            if mode >= RESTS:
                 if i not in locking:
                     continue
                 most, slack = self.static[i], SLACK * max(self.static[i], np.abs(forces).max())

@@ -42,7 +42,7 @@ from mbsrun.simulation.integration.complementarity import (
 from mbsrun.simulation.integration.events import MANY, MOST, Course
 from mbsrun.simulation.integration.explicit import Pair
 from mbsrun.simulation.integration.holding import LOCKED, Forces, Inertia
-from mbsrun.simulation.integration.joints import HELD, SLACK
+from mbsrun.simulation.integration.joints import SLACK, are_held
 from mbsrun.simulation.integration.rubbing import RubbingCourse
 from mbsrun.simulation.integration.touching import TouchingCourse
 from mbsrun.simulation.motion import (
@@ -100,7 +100,7 @@ class _Course(BrakedCourse):
         self.fastest = max(self.fastest, float(np.abs(qd).max(initial=0.0)))
         if self.modes is not None:  # of several joints that lock each other, only some are held exactly
             released = np.isin(np.arange(len(qd)), list(self.released))
-            qd[np.isin(self.modes, HELD) & ~released] = 0.0
+            qd[are_held(self.modes) & ~released] = 0.0
         inertia = self.forces.weigh(q, qd, piece.at(time, q, qd))
         for k in range(MOST):
             joints.still(qd, self.fastest)
@@ -235,7 +235,7 @@ class _Course(BrakedCourse):
             else:
                 modes[i] = {0: Mode.STICKS, 1: Mode.LOWER, -1: Mode.UPPER}[int(sides[i])]
                 forces[i] = rest.lam[k]
-        held = np.flatnonzero(np.isin(modes, HELD))
+        held = np.flatnonzero(are_held(modes))
         if not held.size:
             return modes, forces
         self.locking = inertia.choose(held, rest.slack[np.searchsorted(still, held)])
