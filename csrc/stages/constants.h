@@ -60,6 +60,7 @@
 #define FOLLOWED_ANYHOW ((real)1e-2) /* or with any errors from here on */
 #define WARM_STEP ((real)0.5)       /* the first step of a warm start that is near its solution, at least */
 #define WARM_BARRIER ((real)2e-4)   /* the most that a warm start needs for its violation: larger ones leave the plan */
+#define WARM_REST ((real)1e-2)      /* of the square of a violation: a step leaves as much of it */
 
 /* steps, and their corrections */
 #define FREE_COMPLIANCE ((real)1e20)  /* of an elastic variable without curvature */

@@ -383,6 +383,15 @@ static real first_barrier(const mbs_stages *s)
     return first > least ? first : least;
 }
 
+/* The first barrier parameter near the solution of another problem: what a step leaves of a violation, which falls with
+ * its square, within the last one that the tolerance asks for and the usual one. */
+static real near_barrier(const mbs_stages *s, real usual, real violation)
+{
+    const real last = s->options.tol / (s->options.barrier_tol_factor + 1), own = WARM_REST * violation * violation;
+    const real first = own > last ? own : last;
+    return first < usual && !(mbs_stages_least_barrier(s) > 0) ? first : usual;
+}
+
 /* Put a warm start on the central path. Where its first step is short, bounds that bind change, and it needs a higher
  * barrier parameter: the higher, the farther it is from its rows. The caller may choose one. */
 static int centre_warm(mbs_stages *s, mbs_stages_phase *p)
@@ -393,6 +402,8 @@ static int centre_warm(mbs_stages *s, mbs_stages_phase *p)
             return -1;
         violation = mbs_stages_largest(s->rows, p->c);
         s->farther = violation * violation < WARM_BARRIER ? violation * violation : WARM_BARRIER;
+        if (s->options.warm_start_init_point == 2)
+            p->mu = near_barrier(s, p->mu, violation);
     }
     start_warm(s, p);
     return mbs_stages_phase_values(s, p, p->x, &p->cost, p->c);

@@ -490,6 +490,19 @@ def test_a_start_from_another_solution_knows_nothing_of_solves_before(either: Li
         assert all(own.tobytes() == x.tobytes() for own, x in zip(answer.point, found[0].point, strict=True))
 
 
+def test_a_start_from_another_solution_ends_with_its_first_step_where_that_is_near(library: Library) -> None:
+    """The barrier parameter begins with the tolerance's last one, 1e-8 / 11; elsewhere it falls on the way."""
+    first, ends = Solver(library, cart_pole()).solve(), list[tuple[str, int]]()
+    for move in (1e-6, 1e-2):
+        solver = Solver(library, cart_pole())
+        solver.lower[:4] = solver.upper[:4] = first.w[:4] + move
+        solver.set(w=first.w, y=first.y, below=first.below, above=first.above)
+        found = solver.solve(warm_start_init_point=2)
+        assert found.result.barrier == pytest.approx(1e-8 / 11)
+        ends.append((found.status, min(found.result.iterations, 2)))
+    assert ends == [("solved", 1), ("solved", 2)]
+
+
 def test_a_closed_loop_at_its_target_takes_few_iterations(library: Library) -> None:
     """The cost falls by eight orders of magnitude, below what the tolerance decides of it: no sample goes on."""
     start, rest = np.array([1.0, 0.0]), np.zeros(2)

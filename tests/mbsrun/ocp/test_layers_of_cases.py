@@ -86,6 +86,14 @@ def test_two_sources_beside_a_case_count_by_their_distances() -> None:
     assert weigh([Source(0, (-0.1,)), Source(1, (0.3,))]) == pytest.approx([0.75, 0.25], abs=1e-5)
 
 
+def test_four_sources_on_a_line_take_cubic_functions_to_a_case() -> None:
+    """Polynomial interpolation, whose weights are Lagrange's at 0."""
+    places = np.array([-0.1, 0.15, -0.3, 0.4])
+    apart = [np.delete(places, k) for k in range(4)]
+    expected = [np.prod(others / (others - x)) for x, others in zip(places, apart, strict=True)]
+    assert weigh([Source(k, (x,)) for k, x in enumerate(places.tolist())]) == pytest.approx(expected, abs=0.02)
+
+
 def test_a_mixture_keeps_multipliers_of_bounds() -> None:
     """They are at least 0, also where weights are negative."""
 

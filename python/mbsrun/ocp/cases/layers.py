@@ -20,7 +20,9 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 MOST = 16  # sources of a case
-SLACK = 1e-6  # the price of weights over the one of missing the place
+SLACK = 1e-9  # the price of weights over the one of missing the place
+CURVED = 1e-3  # the same, over the one of missing values of functions of higher degree
+SPAN = 2.0  # the length in which functions vary, over the distance of the farthest source
 
 
 @dataclass(frozen=True)
@@ -83,13 +85,17 @@ def keep_paths(starts: Sequence[Start], wanted: Sequence[int]) -> tuple[Start, .
 def weigh(sources: Sequence[Source]) -> Array:
     """Return the weights, with the sum 1, by which sources are mixed: they take each linear function to the case.
 
-    Of all such weights, far sources have small ones. Where sources are too few, their mean place is as near as it can.
+    Where sources are enough for more, the weights take functions of higher degree there too: beside the place, they miss
+    the monomials of the offsets by the least sum of squares, with the factors of the exponential series. Of all such
+    weights, far sources have small ones. Where sources are too few, their mean place is as near as it can.
     """
     offsets = np.array([source.offset for source in sources], dtype=np.float64)
     squares = (offsets**2).sum(axis=1)
     if not squares.min() > 0:  # the same numbers
         return np.asarray((squares == 0) / np.count_nonzero(squares == 0))
-    with_all = np.diag(squares) + (offsets @ offsets.T) / SLACK
+    products, length = offsets @ offsets.T, SPAN**2 * squares.max()
+    curved = length * np.expm1(products / length) - products
+    with_all = np.diag(squares) + products / SLACK + curved / CURVED
     found = np.linalg.solve(with_all / squares.min(), np.ones(len(squares)))
     return np.asarray(found / found.sum())
 
