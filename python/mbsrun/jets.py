@@ -6,6 +6,7 @@ A jet is f with its gradient g and Hessian H by n variables, at many places at o
     phi(a)' = phi' a',       phi(a)'' = phi' a'' + phi'' a' a'T.
 
 Griewank, Walther, "Evaluating derivatives", SIAM 2008, chapter 13. `DEPENDENCE` finds the nonzeros by the same rules.
+Flat jets have no Hessian, and the same values and gradients.
 """
 
 from __future__ import annotations
@@ -28,7 +29,12 @@ class Jet:
 
     f: Array
     g: Array
-    H: Array
+    H: Array  # of a flat jet: (0,)
+
+    @property
+    def is_flat(self) -> bool:
+        """Return whether there is no Hessian."""
+        return self.H.ndim == 1
 
 
 @dataclass(frozen=True)
@@ -39,9 +45,12 @@ class Dependence:
     H: Mask
 
 
-def vary(values: Array, index: int, n: int) -> Jet:
+NO_HESSIAN = np.zeros(0)
+
+
+def vary(values: Array, index: int, n: int, *, is_flat: bool = False) -> Jet:
     """Return the jet of a variable: number `index` of n."""
-    return Jet(values, np.eye(n)[index], np.zeros((n, n)))
+    return Jet(values, np.eye(n)[index], NO_HESSIAN if is_flat else np.zeros((n, n)))
 
 
 def depend(index: int, n: int) -> Dependence:
@@ -49,11 +58,11 @@ def depend(index: int, n: int) -> Dependence:
     return Dependence(np.arange(n) == index, np.zeros((n, n), dtype=bool))
 
 
-def make_jets(n: int) -> Algebra[Jet]:
-    """Make the algebra of jets in n variables."""
+def make_jets(n: int, *, is_flat: bool = False) -> Algebra[Jet]:
+    """Make the algebra of jets in n variables, or of flat ones."""
 
     def number(value: float) -> Jet:
-        return Jet(np.array(value), np.zeros(n), np.zeros((n, n)))
+        return Jet(np.array(value), np.zeros(n), NO_HESSIAN if is_flat else np.zeros((n, n)))
 
     def power(a: Jet, k: int) -> Jet:
         first = k * a.f ** float(k - 1) if k else np.zeros_like(a.f)
@@ -116,6 +125,8 @@ def make_dependences(n: int) -> Algebra[Dependence]:
 def compose(f: Array, g: Array, H: Array, arguments: Sequence[Jet]) -> Jet:
     """Apply a function of several jets: its value (places,), gradient (places, k), and Hessian (places, k, k)."""
     by = np.stack([np.broadcast_to(a.g, (*f.shape, a.g.shape[-1])) for a in arguments], axis=1)
+    if all(a.is_flat for a in arguments):
+        return Jet(f, np.einsum("pk,pkn->pn", g, by), NO_HESSIAN)
     curved = np.einsum("pkn,pkl,plm->pnm", by, H, by)
     for i, a in enumerate(arguments):
         curved = curved + g[:, i, None, None] * a.H
@@ -132,12 +143,16 @@ def compose_dependences(g: Mask, H: Mask, arguments: Sequence[Dependence]) -> De
 
 def _chain(a: Jet, value: Array, first: Array, second: Array) -> Jet:
     """Apply a function with its two derivatives."""
+    if a.is_flat:
+        return Jet(value, first[..., None] * a.g, NO_HESSIAN)
     first, second = first[..., None], second[..., None, None]
     return Jet(value, first * a.g, first[..., None] * a.H + second * a.g[..., :, None] * a.g[..., None, :])
 
 
 def _multiply(a: Jet, b: Jet) -> Jet:
     af, bf = a.f[..., None], b.f[..., None]
+    if a.is_flat:
+        return Jet(a.f * b.f, af * b.g + bf * a.g, NO_HESSIAN)
     mixed = a.g[..., :, None] * b.g[..., None, :]
     H = af[..., None] * b.H + bf[..., None] * a.H + mixed + np.swapaxes(mixed, -1, -2)
     return Jet(a.f * b.f, af * b.g + bf * a.g, H)
@@ -151,6 +166,8 @@ def _atan2(y: Jet, x: Jet) -> Jet:
     """The gradient of the angle is (x, -y) / r^2 by (y, x)."""
     r2 = x.f**2 + y.f**2
     by_y, by_x = x.f / r2, -y.f / r2
+    if y.is_flat:
+        return Jet(np.arctan2(y.f, x.f), by_y[..., None] * y.g + by_x[..., None] * x.g, NO_HESSIAN)
     yy, yx = -2 * by_y * y.f / r2, (y.f**2 - x.f**2) / r2**2
     gy, gx = y.g, x.g
 
@@ -168,11 +185,13 @@ def _atan2(y: Jet, x: Jet) -> Jet:
 def _choose_larger(a: Jet, b: Jet) -> Jet:
     """Return the larger one; half of each where they are equal."""
     s = (1 + np.sign(a.f - b.f)) / 2
-    f, g, H = (
-        s[(..., *[None] * k)] * x + (1 - s)[(..., *[None] * k)] * y
-        for k, (x, y) in enumerate(((a.f, b.f), (a.g, b.g), (a.H, b.H)))
-    )
-    return Jet(f, g, H)
+
+    def choose(x: Array, y: Array, axes: int) -> Array:
+        shape = (..., *[None] * axes)
+        return np.asarray(s[shape] * x + (1 - s)[shape] * y)
+
+    H = NO_HESSIAN if a.is_flat else choose(a.H, b.H, 2)
+    return Jet(choose(a.f, b.f, 0), choose(a.g, b.g, 1), H)
 
 
 def _tan(x: Array) -> tuple[Array, Array, Array]:

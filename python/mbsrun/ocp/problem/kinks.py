@@ -42,6 +42,8 @@ def bound_kinks(problem: Problem, constants: Mapping[str, float], constant: Sequ
     of_end = _Bounds("unknowns", constants, rename)
     running = tuple(of_path.rewrite(term) for term in cost.running)
     terminal = tuple(of_end.rewrite(term) for term in cost.terminal)
+    if not of_path.found and not of_end.found:
+        return problem
     controls = (Control(name, _find_range(call), bounds_from_above=write(call)) for call, name in of_path.found.items())
     unknowns = (Unknown(name, _find_range(call)) for call, name in of_end.found.items())
     rows = [

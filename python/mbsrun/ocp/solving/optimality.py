@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from mbsrun.ocp.ground.functions import Array, Indices
+from mbsrun.ocp.ground.memory import Memory
 from mbsrun.ocp.ground.program import Matrix
 
 SAME = 1e-6  # what the cost may still fall by, over what its gradient alone would let it fall
@@ -139,21 +140,21 @@ def linearise(
     s = np.broadcast_to(scales, x.shape)
     is_scaled = bool((s != 1).any())
     x, c, bounds = x / s, c * s, (bounds[0] / s, bounds[1] / s)
-    row, column = J.indices, np.repeat(np.arange(x.size), np.diff(J.indptr))
-    J = sparse.csc_array((J.data * s[column], row, J.indptr), shape=J.shape) if is_scaled else J
+    pattern = _PATTERNS.find(lambda: _find_pattern(J), J.indices, J.indptr)
+    row, column = pattern.row, pattern.column
+    data = J.data * s[column] if is_scaled else J.data
     size, fixed, equal = np.maximum(1.0, np.abs(x)), bounds[0] == bounds[1], ranges[0] == ranges[1]
     below, above = (np.where(fixed, 0.0, distance) for distance in (x - bounds[0], bounds[1] - x))
     row_below, row_above = (np.where(equal, 0.0, distance) for distance in (g - ranges[0], ranges[1] - g))
-    reach = np.bincount(row, weights=np.abs(J.data) * size[column], minlength=g.size)
-    only = np.flatnonzero((np.bincount(row, minlength=g.size) == 1)[row] & (J.data != 0))
-    alone, at, value = row[only], column[only], J.data[only]
+    reach = np.bincount(row, weights=np.abs(data) * size[column], minlength=g.size)
+    only = pattern.alone[data[pattern.alone] != 0]
+    alone, at, value = row[only], column[only], data[only]
     falls = np.where(value > 0, row_below[alone], row_above[alone]) / np.abs(value)
     rises = np.where(value > 0, row_above[alone], row_below[alone]) / np.abs(value)
     np.minimum.at(below, at, falls)
     np.minimum.at(above, at, rises)
-    is_kept = np.ones(g.size, dtype=bool)
-    is_kept[alone] = False
-    kept = np.flatnonzero(is_kept)
+    rest = pattern.rest if only.size == pattern.alone.size else _leave_out(row, column, alone, g.size)
+    kept = rest.kept
     sides = _count_sides(below, above, size) + 2 * np.count_nonzero((row_below + row_above)[kept] > 0)
     unit = np.ones(g.size)
     if is_scaled:  # rows in unusual sizes have the one of their terms
@@ -162,7 +163,7 @@ def linearise(
     excess = (_measure_excess(g, ranges) / np.maximum(unit, reach), _measure_excess(x, bounds) / size)
     return Point(
         c,
-        _pick_rows(J, column, is_kept),
+        Slopes(data[rest.chosen], rest.row, rest.column, (kept.size, J.shape[1])),
         kept,
         size,
         np.clip(below, 0.0, size),
@@ -174,11 +175,41 @@ def linearise(
     )
 
 
-def _pick_rows(J: Matrix, column: Indices, is_kept: NDArray[np.bool_]) -> Slopes:
-    """Return some rows of a matrix, whose entries have these columns."""
-    stays = is_kept[J.indices]
-    row = (np.cumsum(is_kept) - 1)[J.indices[stays]]
-    return Slopes(J.data[stays], row, column[stays], (int(is_kept.sum()), J.shape[1]))
+@dataclass(frozen=True, eq=False)
+class _Rest:
+    """Rows of a matrix that are kept, and the entries of these."""
+
+    kept: Indices
+    chosen: Indices  # of all entries
+    row: Indices  # of chosen entries, among the kept ones
+    column: Indices
+
+
+@dataclass(frozen=True, eq=False)
+class _Pattern:
+    """The places of a matrix's entries."""
+
+    row: Indices
+    column: Indices
+    alone: Indices  # entries that are the only ones of their rows
+    rest: _Rest  # the other rows
+
+
+_PATTERNS: Memory[_Pattern] = Memory()
+
+
+def _find_pattern(J: Matrix) -> _Pattern:
+    row, column = J.indices.astype(np.int64), np.repeat(np.arange(J.shape[1]), np.diff(J.indptr))
+    alone = np.flatnonzero((np.bincount(row, minlength=J.shape[0]) == 1)[row])
+    return _Pattern(row, column, alone, _leave_out(row, column, row[alone], J.shape[0]))
+
+
+def _leave_out(row: Indices, column: Indices, out: Indices, count: int) -> _Rest:
+    """Leave some of a matrix's rows out, whose entries have these places."""
+    is_kept = np.ones(count, dtype=bool)
+    is_kept[out] = False
+    chosen = np.flatnonzero(is_kept[row])
+    return _Rest(np.flatnonzero(is_kept), chosen, (np.cumsum(is_kept) - 1)[row[chosen]], column[chosen])
 
 
 def _count_sides(below: Array, above: Array, size: Array) -> float:

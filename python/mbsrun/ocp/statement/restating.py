@@ -52,7 +52,8 @@ class Rewriting:
 
     def apply(self, problem: Problem) -> Problem:
         """Rewrite a problem that was read without these keys."""
-        problem = self._rate(replace(problem, delays=tuple(self._list_delays(problem))))
+        delays = tuple(self._list_delays(problem))
+        problem = self._rate(replace(problem, delays=delays) if delays else problem)
         if problem.form is Form.STANDARD:
             problem = self._lift(problem)
         elif self.form.course == "linear":
@@ -138,6 +139,8 @@ class Rewriting:
                 inner: Place = ("bounds", "input_rates", *([self.inputs[i]] if isinstance(given, dict) else []))
                 finding = f"forces gives the input {self.inputs[i]}, and no difference of constant inputs is its rate"
                 reading.fault(inner, finding, "bound the rate of a state or a control in its expression")
+        if all(self.section.controls[control.name].rate is None for control in problem.controls):
+            return problem
         cost = replace(problem.cost, control_rates=tuple(prices))
         return replace(problem, controls=tuple(controls), cost=cost)
 

@@ -271,7 +271,7 @@ class _Reading(PartReading):
         parameters, unknowns = self.parameters(section.parameters), self.unknowns(section.unknowns)
         if not self.faults:
             changed = dict(parameters) | {x.name: x.guess for x in unknowns if x.name in self.plant.parameters}
-            self.plant = self.plant.with_parameters(**changed)
+            self.plant = self.plant.with_parameters(**changed) if changed else self.plant
         self.closure = find_closure(self.plant)
         hidden = find_hidden(self.manifest, stops=False)
         if hidden is not None and section.modes is None:
@@ -354,8 +354,8 @@ class _Reading(PartReading):
         )
         problem = self.rewriting.apply(self.set_modes(problem, section.modes))
         used = tuple((key, self.constants[key]) for key in section.constants if key in self.used)
-        problem = replace(problem, constants=used, references=self.referring.references())
-        problem = replace(problem, controls=(*problem.controls, *slips))
+        controls, references = (*problem.controls, *slips), self.referring.references()
+        problem = replace(problem, constants=used, references=references, controls=controls)
         self.check_given(problem)
         is_driven = bool(drives) and not self.faults
         for conflict in (

@@ -17,7 +17,17 @@ from numpy.typing import NDArray
 from mbsgen.expressions import Algebra, Program, evaluate
 from mbsgen.manifest import Argument
 from mbsgen.roles import Order, name_adjoint, name_derivative, name_kernel
-from mbsrun.jets import Dependence, Jet, compose, compose_dependences, depend, make_dependences, make_jets, vary
+from mbsrun.jets import (
+    NO_HESSIAN,
+    Dependence,
+    Jet,
+    compose,
+    compose_dependences,
+    depend,
+    make_dependences,
+    make_jets,
+    vary,
+)
 from mbsrun.kernel import KernelError
 from mbsrun.ocp.ground.functions import (
     Array,
@@ -163,8 +173,8 @@ class KernelEvaluation:
 class _Steps:
     """The expressions of a formula, ready to be evaluated with their derivatives by n variables, or by none."""
 
-    def __init__(self, formula: Formula, n: int) -> None:
-        self.n, self.algebra = n, make_jets(n)
+    def __init__(self, formula: Formula, n: int, *, is_flat: bool) -> None:
+        self.n, self.is_flat, self.algebra = n, is_flat, make_jets(n, is_flat=is_flat)
         self.program = Program(formula.expressions, self.algebra)
 
 
@@ -211,7 +221,7 @@ class FormulaEvaluation:
 
     def jacobian(self, arguments: Sequence[Array]) -> Sequence[Array]:
         """Return the nonzeros of the derivatives by each input, (places, nonzeros)."""
-        J = np.stack([jet.g for jet in self._jets(arguments, self._bent)], axis=1) @ self._slopes(arguments)
+        J = np.stack([jet.g for jet in self._jets(arguments, self._sloped)], axis=1) @ self._slopes(arguments)
         blocks = zip(self._columns(), self.jacobian_patterns, strict=True)
         return [J[:, :, columns][:, pattern.row, pattern.col] for columns, pattern in blocks]
 
@@ -232,25 +242,30 @@ class FormulaEvaluation:
 
     @cached_property
     def _bent(self) -> _Steps:
-        """The expressions with their derivatives by all variables."""
-        return _Steps(self._formula, self._n)
+        """The expressions with their first and second derivatives by all variables."""
+        return _Steps(self._formula, self._n, is_flat=False)
+
+    @cached_property
+    def _sloped(self) -> _Steps:
+        """The expressions with their first derivatives by all variables."""
+        return _Steps(self._formula, self._n, is_flat=True)
 
     @cached_property
     def _plain(self) -> _Steps:
         """The expressions without derivatives."""
-        return _Steps(self._formula, 0)
+        return _Steps(self._formula, 0, is_flat=True)
 
     def _jets(self, arguments: Sequence[Array], steps: _Steps) -> list[Jet]:
         values = self._values(arguments)
         numbers = {name: values[kind][:, i] for name, (kind, i) in self._formula.names.items()}
         n, P = steps.n, self._places
-        given = {name: self._vary(kind, i, numbers[name], n) for name, (kind, i) in self._formula.names.items()}
+        given = {name: self._vary(kind, i, numbers[name], steps) for name, (kind, i) in self._formula.names.items()}
         with np.errstate(all="ignore"):
             for call in self._formula.calls:
                 given[call.name] = self._apply(call, given, steps.algebra)
             jets = steps.program.evaluate(given)
         return [
-            Jet(np.broadcast_to(jet.f, P), np.broadcast_to(jet.g, (P, n)), np.broadcast_to(jet.H, (P, n, n)))
+            Jet(_spread(jet.f, P), _spread(jet.g, P, n), jet.H if steps.is_flat else _spread(jet.H, P, n, n))
             for jet in jets
         ]
 
@@ -279,10 +294,11 @@ class FormulaEvaluation:
         values = np.stack([np.broadcast_to(jet.f, self._places) for jet in arguments], axis=1)
         return compose(*symbolic.differentiate(call.code).evaluate(values), arguments)
 
-    def _vary(self, kind: str, i: int, values: Array, n: int) -> Jet:
+    def _vary(self, kind: str, i: int, values: Array, steps: _Steps) -> Jet:
+        n = steps.n
         if n and kind in self._first:
-            return vary(values, self._first[kind] + i, n)
-        return Jet(values, np.zeros(n), np.zeros((n, n)))
+            return vary(values, self._first[kind] + i, n, is_flat=steps.is_flat)
+        return Jet(values, np.zeros(n), NO_HESSIAN if steps.is_flat else np.zeros((n, n)))
 
     def _values(self, arguments: Sequence[Array]) -> dict[str, Array]:
         """Return the numbers of all kinds, (places, size) each."""
@@ -330,6 +346,11 @@ class FormulaEvaluation:
 
     def _range(self, kind: str, size: int) -> slice:
         return slice(self._first[kind], self._first[kind] + size)
+
+
+def _spread(values: Array, *shape: int) -> Array:
+    """Return values of a shape; most have it, and need no view."""
+    return values if values.shape == shape else np.broadcast_to(values, shape)
 
 
 def _take(argument: Argument, rows: Sequence[int] | Indices, cols: Sequence[int]) -> _Taken:

@@ -180,7 +180,9 @@ class NumpyProgram:
 
     def terms(self, x: Array, p: Array) -> Array:
         """Return c: the terms of the cost, without their weights."""
-        c = np.array([x @ (H @ x) / 2 for H in self.program.H])
+        c = np.zeros(len(self.program.H))
+        for k, H in self._squares:
+            c[k] = x @ (H @ x) / 2
         return c + self._put(self._costs, x, p, c.size)
 
     def objective(self, x: Array, p: Array) -> float:
@@ -189,7 +191,7 @@ class NumpyProgram:
 
     def gradient(self, x: Array, p: Array) -> Array:
         """Return the gradient of f."""
-        gradient = sum((w * (H @ x) for w, H in zip(p, self.program.H, strict=False)), start=np.zeros(x.size))
+        gradient = sum((p[k] * (H @ x) for k, H in self._squares), start=np.zeros(x.size))
         if not self._costs:
             return np.asarray(gradient + 0.0)
         weights = p[: len(self.program.H)]
@@ -212,6 +214,11 @@ class NumpyProgram:
         values += [v for block in self._blocks for v in block.hessian(x, p, lam_g)]
         values += [v for block in self._costs for v in block.hessian(x, p, weights)]
         return self._sum(self._curvatures, values)
+
+    @cached_property
+    def _squares(self) -> list[tuple[int, Matrix]]:
+        """Return the quadratic terms of the cost, with their numbers: expressions have none."""
+        return [(k, H) for k, H in enumerate(self.program.H) if H.nnz]
 
     # --- blocks ---
 
