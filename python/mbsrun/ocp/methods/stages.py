@@ -93,7 +93,7 @@ def make_stages(order: Assignment) -> Solver:
     settings = _read_settings(order)
     tables: dict[bytes, binding.Tables] = {}
     free: dict[bytes, list[binding.Solver]] = {}  # solvers that nobody uses now
-    lock = threading.Lock()
+    lock, near = threading.Lock(), dict[int, binding.Settings]()  # of starts near a solution, by the most iterations
     program = order.program.data
 
     def lay(numbers: binding.Numbers) -> bytes:
@@ -130,7 +130,9 @@ def make_stages(order: Assignment) -> Solver:
             if start.near is None:
                 outcome = solver.solve(_complete(order.program, start.x), numbers, settings, watch)
             else:
-                outcome = solver.solve(start.near.point, numbers, _start_near(settings, start.most_iterations), watch)
+                most = start.most_iterations
+                own = near.setdefault(most, near.get(most) or _start_near(settings, most))
+                outcome = solver.solve(start.near.point, numbers, own, watch)
         finally:
             with lock:
                 free[key].append(solver)
