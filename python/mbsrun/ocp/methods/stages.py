@@ -93,7 +93,8 @@ def make_stages(order: Assignment) -> Solver:
     settings = _read_settings(order)
     tables: dict[bytes, binding.Tables] = {}
     free: dict[bytes, list[binding.Solver]] = {}  # solvers that nobody uses now
-    lock, near = threading.Lock(), dict[int, binding.Settings]()  # of starts near a solution, by the most iterations
+    lock = threading.Lock()
+    starts = dict[int, binding.Settings]()  # options near a solution, by the most iterations
     program = order.program.data
 
     def lay(numbers: binding.Numbers) -> bytes:
@@ -131,7 +132,7 @@ def make_stages(order: Assignment) -> Solver:
                 outcome = solver.solve(_complete(order.program, start.x), numbers, settings, watch)
             else:
                 most = start.most_iterations
-                own = near.setdefault(most, near.get(most) or _start_near(settings, most))
+                own = starts.setdefault(most, starts.get(most) or _start_near(settings, most))
                 outcome = solver.solve(start.near.point, numbers, own, watch)
         finally:
             with lock:
