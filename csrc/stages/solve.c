@@ -383,8 +383,8 @@ static real first_barrier(const mbs_stages *s)
     return first > least ? first : least;
 }
 
-/* The first barrier parameter near the solution of another problem: what a step leaves of a violation, which falls with
- * its square, within the last one that the tolerance asks for and the usual one. */
+/* The first barrier parameter near the solution of another problem: the violation after a step, which falls with the
+ * square of the one before, within the last one that the tolerance asks for and the usual one. */
 static real near_barrier(const mbs_stages *s, real usual, real violation)
 {
     const real last = s->options.tol / (s->options.barrier_tol_factor + 1), own = WARM_REST * violation * violation;

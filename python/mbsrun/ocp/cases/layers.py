@@ -85,9 +85,9 @@ def keep_paths(starts: Sequence[Start], wanted: Sequence[int]) -> tuple[Start, .
 def weigh(sources: Sequence[Source]) -> Array:
     """Return the weights, with the sum 1, by which sources are mixed: they take each linear function to the case.
 
-    Where sources are enough for more, the weights take functions of higher degree there too: they miss the monomials of
-    the offsets by the least sum of squares, with the factors of the exponential series. Of all such weights, far sources
-    have small ones. Where sources are too few, their mean place is as near as it can.
+    Where sources are enough for more, the weights take functions of higher degree there too: they miss the monomials
+    of the offsets by the least sum of squares, with the factors of the exponential series. Of all such weights, far
+    sources have small ones. Where sources are too few, their mean place is as near as it can.
     """
     offsets = np.array([source.offset for source in sources], dtype=np.float64)
     squares = (offsets**2).sum(axis=1)

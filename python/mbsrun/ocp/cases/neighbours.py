@@ -2,9 +2,9 @@
 
 A case starts from the solutions of its nearest sources, with all multipliers: from a mixture of them that is right to
 first order at least, after which the first step of Newton's method is the tangential prediction. Where that has no
-solution soon, the case is solved from its own guess. A case does not try where its sources did not save iterations, unless it is
-nearer to them than they were to theirs. All of this depends on the ancestors of a case alone, so neither the order of
-the list nor the number of threads or processes changes a result.
+solution soon, the case is solved from its own guess. A case does not try where its sources did not save iterations,
+unless it is nearer to them than they were to theirs. All of this depends on the ancestors of a case alone, so neither
+the order of the list nor the number of threads or processes changes a result.
 """
 
 from __future__ import annotations
