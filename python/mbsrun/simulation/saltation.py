@@ -105,10 +105,10 @@ class _Watcher:
         if self.field is None:
             self.field = ContactField(dynamics) if dynamics.kernels.manifest.rigid else JointField(dynamics)
         segment = chunk.segment or Segment((0,) * chunk.qd.shape[1])
-        state, times = np.hstack((chunk.q, chunk.qd)), (float(chunk.t[0]), float(chunk.t[-1]))
+        state, time = np.hstack((chunk.q, chunk.qd)), float(chunk.t[0])
         try:
             if self.last is not None:
-                self.jump(self.field, times[0], segment, state[0])
+                self.jump(self.field, time, segment, state[0])
             elif self.field.strike(segment, state[0]) is not None:
                 raise SlopeError("the motion begins with an impact")
             self.X = self.field.project(state[0], segment) @ self.X
@@ -116,7 +116,7 @@ class _Watcher:
                 self.X = matrix @ self.X
             self.X = self.field.project(state[-1], segment) @ self.X
         except SlopeError as error:
-            self.note(str(error), times[0])
+            self.note(str(error), time)
         self.last = state[-1], piece, segment
 
     def note(self, finding: str, time: float) -> None:

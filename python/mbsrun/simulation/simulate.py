@@ -310,7 +310,7 @@ class _Record:
         self, t: Array, q: Array, qd: Array, inputs: Array, modes: NDArray[np.int_] | None
     ) -> Array:
         if self.rates:
-            return np.array(self.rates).reshape(-1, qd.shape[1])
+            return np.array(self.rates)
         if self.strikes and self.switches:
             return np.full(qd.shape, np.nan)
         if modes is None:

@@ -165,6 +165,11 @@ def test_a_command_of_before_fixes_the_input_of_its_interval() -> None:
         assert np.count_nonzero(sources.values[part] == 0.7) == 2
 
 
+def test_a_history_of_0_is_0() -> None:
+    still = replace(LATE, delays=(replace(LATE.delays[0], history=0.0),))
+    assert [x.value for x in make("late").find(still).field("inputs_before").entries] == [0.0, 0.0]
+
+
 def test_numbers_without_a_bound_are_infinite_and_none_is_a_mark() -> None:
     sources = make("free time").find(FREE_TIME)
     for found in read(sources, sources.values):

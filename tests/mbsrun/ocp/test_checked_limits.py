@@ -15,6 +15,7 @@ import pytest
 from mbsrun.ocp.ground.schemes import Family
 from mbsrun.ocp.problem.problem import (
     Bounds,
+    Constraint,
     Control,
     Cost,
     Delay,
@@ -23,6 +24,7 @@ from mbsrun.ocp.problem.problem import (
     Force,
     Form,
     GuessOptions,
+    Loops,
     Problem,
     Refinement,
     Representation,
@@ -33,7 +35,10 @@ from mbsrun.ocp.problem.problem import (
     Unknown,
     WrenchComponent,
 )
-from mbsrun.ocp.statement.checks import ProblemError, check_problem
+from mbsrun.ocp.statement.checks import ProblemError, check_problem, find_loop_conflicts, find_open_references
+from mbsrun.recordings.references import Reference
+from mbsrun.recordings.splines import Treatment, fit
+from tests.mbsrun.ocp.closed_plants import pendulum_of_rods
 from tests.mbsrun.ocp.plants import FREE_RANGE, push
 from tests.mbsrun.peer import double_integrator
 
@@ -235,8 +240,6 @@ def test_an_unknown_and_a_parameter_have_one_value() -> None:
 
 
 def test_loops_are_left_out_where_there_are_none() -> None:
-    from mbsrun.ocp.problem.problem import Loops
-
     assert find({"loops": Loops.REDUCED}) == (("loops", "the model has no closed loops"),)
 
 
@@ -265,3 +268,118 @@ def test_what_is_no_problem_is_refused() -> None:
     references: Any = (1.0,)
     assert find({"references": references}) == (("references[0]", 'found "float"'),)
     assert isinstance(push(4), Problem)
+
+
+def test_a_quaternion_is_free_or_given_as_a_whole() -> None:
+    """At the start, and at the end: all four entries or none."""
+    names = tuple(f"ball.q{axis}" for axis in "xyzw")
+    joints = tuple(MANIFEST.coordinates[0].model_copy(update={"name": f"ball_{axis}"}) for axis in "xyz")
+    ball = MANIFEST.model_copy(update={"configuration": names, "quaternions": (0,), "coordinates": joints})
+    usual: dict[str, Any] = {
+        "start_q": (0.0, 0.0, 0.0, 1.0), "start_qd": (0.0,) * 3, "bounds": Bounds(FREE * 4, FREE * 3, FREE * 3),
+        "end": End(),
+    }  # fmt: skip
+    for count in range(5):
+        entries = tuple(range(count))
+        for key, changes in (
+            ("free_start", {"free_start": entries}),
+            ("end.coordinates", {"end": End(coordinates=tuple((i, 0.5) for i in entries))}),
+        ):
+            found = find({**usual, **changes}, ball)
+            assert found == (((key, "a part of the quaternion of ball"),) if 0 < count < 4 else ())
+
+
+def test_a_delay_of_an_input_without_bounds_is_no_second_fault() -> None:
+    changes = {**delay(0.25, history=5.0), "bounds": Bounds(FREE, FREE, ())}
+    assert find(changes) == (("bounds.u", "found 0 entries"),)
+
+
+ROUND = replace(
+    push(4), start_q=(0.6, -0.8), start_qd=(0.0, 0.0), bounds=Bounds(FREE * 2, FREE * 2, FREE), end=End()
+)  # fmt: skip
+SEMI, MULTIPLIERS, REDUCED = Representation.SEMI, Loops.MULTIPLIERS, Loops.REDUCED
+CUSTOM: list[tuple[dict[str, Any], list[tuple[str, str]]]] = [  # changes: the places, and a word of each remedy
+    ({}, []),
+    ({"loops": MULTIPLIERS}, []),
+    ({"loops": REDUCED}, []),
+    ({"loops": MULTIPLIERS, "form": Form.INTEGRAL}, [("form", "take standard, or loops: reduced")]),
+    ({"loops": REDUCED, "form": Form.INTEGRAL}, []),
+    ({"form": Form.INTEGRAL}, []),
+    ({"family": Family.LOBATTO}, [("scheme", "take scheme: radau")]),
+    ({"family": Family.LOBATTO, "loops": MULTIPLIERS}, [("scheme", "take scheme: radau")]),
+    ({"family": Family.LEGENDRE, "loops": MULTIPLIERS}, [("loops", "take scheme: radau, or loops: reduced")]),
+    ({"family": Family.LEGENDRE, "loops": REDUCED}, []),
+    ({"family": Family.LEGENDRE}, []),
+    ({"integrator": "second-order", "loops": MULTIPLIERS}, [("loops", "take integrator: collocation")]),
+    ({"integrator": "second-order", "loops": REDUCED}, []),
+    ({"representation": SEMI}, []),
+    ({"representation": SEMI, "loops": MULTIPLIERS}, []),
+    ({"representation": SEMI, "loops": REDUCED}, [("loops", "or EXP1-O, or loops: multipliers")]),
+    ({"representation": SEMI, "form": Form.INTEGRAL}, [("form", "or EXP1-O, or form: standard")]),
+    (
+        {"representation": SEMI, "form": Form.INTEGRAL, "loops": REDUCED},
+        [("loops", "or loops: multipliers, in form: standard")],
+    ),
+    ({"loops": REDUCED, "end": End(accelerations=((0, 0.0),))}, []),
+    ({"loops": REDUCED, "end": End(accelerations=((1, 0.0),))}, [("loops", "take loops: multipliers")]),
+    ({"loops": MULTIPLIERS, "end": End(accelerations=((1, 0.0),))}, []),
+    ({"loops": REDUCED, "constraints": (Constraint("qdd_y", (0, 1)),)}, [("loops", "take loops: multipliers")]),
+    ({"loops": REDUCED, "constraints": (Constraint("qdd_x", (0, 1)),)}, []),
+]
+
+
+@pytest.mark.parametrize(("changes", "expected"), CUSTOM)
+def test_closed_loops_take_some_forms_alone(changes: dict[str, Any], expected: list[tuple[str, str]]) -> None:
+    """The reduced form computes the accelerations of independent coordinates, and multipliers need mesh points."""
+    found = list(find_loop_conflicts(replace(ROUND, **changes), pendulum_of_rods().manifest))
+    assert [str(conflict.place[0]) for conflict in found] == [place for place, _ in expected]
+    for conflict, (_, words) in zip(found, expected, strict=True):
+        assert words in conflict.remedy
+
+
+TIMES = np.linspace(0.0, 1.0, 11)
+
+
+def refer(*holes: int, **given: Any) -> Reference:
+    """Make a recording of x and y over a second; y is unknown around some samples."""
+    gapped = np.where(np.isin(np.arange(11), holes), np.nan, TIMES)
+    columns = tuple((name, fit(TIMES, values, Treatment())) for name, values in (("x", TIMES), ("y", gapped)))
+    return Reference("walk", columns, 0.0, 1.0, **given)
+
+
+def read(text: str, reference: Reference, **changes: Any) -> list[str]:
+    """Return the findings about a reference that a cost reads."""
+    cost = Cost(1.0, running=(Term(text, 1.0),))
+    problem = replace(push(4), references=(reference,), cost=cost, **changes)
+    conflicts = list(find_open_references(problem))
+    assert all(conflict.place == ("references", "walk") for conflict in conflicts)
+    return [conflict.finding for conflict in conflicts]
+
+
+def test_references_in_seconds_need_a_horizon_of_one_length() -> None:
+    free, seconds = (0.5, 2.0), ["the horizon is free, and the reference walk is in seconds"]
+    for changes, given, expected in (
+        ({}, {}, []),
+        ({"horizon_range": free}, {}, seconds),
+        ({"horizon_range": free}, {"is_normalised": True}, []),
+        ({}, {"is_normalised": True}, []),
+    ):
+        assert read("ref_walk_x", refer(**given), **changes) == expected
+        assert read("q_slide", refer(**given), **changes) == expected
+
+
+def test_an_expression_that_reads_an_unknown_part_reads_where_it_is_known() -> None:
+    """The factor known_... of the same gaps will do; parts beyond the horizon, and before it, do not count."""
+    gapped = refer(4, 5)
+    (finding,) = read("ref_walk_y**2", gapped)
+    assert finding == 'ref_walk_y is unknown at 0.3 to 0.6 s of its recording, and "ref_walk_y**2" reads it'
+    for text in ("ref_walk_x", "known_walk_y*ref_walk_y", "known_walk_y"):
+        assert read(text, gapped) == []
+    assert len(read("known_walk_x*ref_walk_y", gapped)) == 1
+    assert read("ref_walk_y", gapped, horizon=0.3) == []
+    assert len(read("ref_walk_y", gapped, horizon=0.31)) == 1
+    (finding,) = read("ref_walk_x", gapped, horizon=1.5)
+    assert "unknown at 1 to 1.5 s" in finding
+    many = refer(1, 4, 7)
+    assert "at 0 to 0.2 s, 0.3 to 0.5 s, 0.6 to 0.8 s of its" in read("ref_walk_y", many, horizon=1.0)[0]
+    assert "0.8 s, ... of its" in read("ref_walk_y", many, horizon=1.5)[0]

@@ -212,21 +212,24 @@ def test_a_motion_is_read_off_its_slopes(grid: Grid, rng: np.random.Generator) -
     check(course, layout, at_stages(layout, integrator, grid.lengths(HORIZON)), x, stages)
 
 
-def test_what_loops_give_is_the_start_of_an_interval_and_a_shift(rng: np.random.Generator) -> None:
-    """q1 and its velocity at each closed place; the others are integrals."""
+@pytest.mark.parametrize("given", [0, 1, 2])
+def test_what_loops_give_is_the_start_of_an_interval_and_a_shift(given: int, rng: np.random.Generator) -> None:
+    """One coordinate and its velocity at each closed place; the others are integrals."""
+    own = tuple(i for i in range(3) if i != given)
+    motions = Motions(3, own, (0, 1, 2), own, own)
     integrator = integrators.build("second-order", schemes.build(Family.RADAU, 2), 1)
     for grid in GRIDS:
         count = len(integrator.closed.c)
-        layout = number(REDUCED, grid, has_states=False, closed=count)
+        layout = number(motions, grid, has_states=False, closed=count)
         x = rng.standard_normal(layout.size)
         places = at_closed(layout, integrator, grid.lengths(HORIZON))
         starts = np.repeat(layout.mesh[:-1], count, axis=0)
         q, qd = value(places.q, x), value(places.qd, x)
-        assert q[:, 1] == pytest.approx(x[starts[:, 1]] + x[layout.shifts[:, :, 0].ravel()])
-        assert qd[:, 1] == pytest.approx(x[starts[:, 4]] + x[layout.shifts[:, :, 1].ravel()])
+        assert q[:, given] == pytest.approx(x[starts[:, given]] + x[layout.shifts[:, :, 0].ravel()])
+        assert qd[:, given] == pytest.approx(x[starts[:, 3 + given]] + x[layout.shifts[:, :, 1].ravel()])
         h = np.repeat(grid.lengths(HORIZON), count)
         V = np.tile(integrator.closed.V, (3, 1))
-        for entry, k in ((0, 0), (2, 1)):
+        for k, entry in enumerate(own):
             a = x[np.repeat(layout.accelerations[:, :, k], count, axis=0)]
             assert qd[:, entry] == pytest.approx(x[starts[:, 3 + entry]] + h * (V * a).sum(axis=1))
 

@@ -98,6 +98,19 @@ def test_an_event_that_changes_no_rate_is_none(part: float, is_event: bool, sign
     assert watcher.finding == "a joint hits a stop as an input jumps at t = 2 s, where there is no derivative"
 
 
+def test_a_state_that_stays_at_rest_has_no_event() -> None:
+    """No rate changes, however large the rates are."""
+    watcher = jump(Script([0.0, 0.0], [0.0, 0.0], crossings=[]))
+    assert (watcher.finding, watcher.X.tolist()) == (None, X.tolist())
+
+
+def test_an_event_whose_guard_nothing_moves_grazes() -> None:
+    """Its rate is 0, and so is its slope: its time is undetermined."""
+    watcher = jump(Script([1.0, 0.0], [2.0, 0.0], crossings=[cross([0.0, 0.0])]))
+    assert watcher.finding == "joint a grazes at t = 2 s, where there is no derivative"
+    assert watcher.X.tolist() == X.tolist()
+
+
 def test_guards_that_meet_at_all_neighbouring_starts_are_one_event() -> None:
     """The times of guards have the same derivative by the start, to 1e-6 of the largest."""
     before, after = [2.0, 3.0], [5.0, 5.0]

@@ -13,6 +13,12 @@ from mbsrun.ocp.problem.problem import Bounds, Cost, End, Problem, Term
 from tests.mbsrun.ocp.plants import FREE_RANGE
 
 MESH = ("t", "q", "qd")
+SLIDER = """
+name: slider
+gravity: [0, 0, 0]
+bodies:
+  - {name: slider, joint: {name: way, type: prismatic, axis: x}, mass: 2}
+"""
 
 
 def swing_up() -> Problem:

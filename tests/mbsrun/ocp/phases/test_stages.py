@@ -14,13 +14,8 @@ from mbsrun.ocp.solution.solution import Failure
 from mbsrun.ocp.solving.phases import resimulate_phases, solve_phases
 from mbsrun.ocp.statement.checks import ProblemError
 from mbsrun.ocp.statement.phases import read_phased_problem
+from tests.mbsrun.ocp.phases.motions import SLIDER
 
-SLIDER = """
-name: slider
-gravity: [0, 0, 0]
-bodies:
-  - {name: slider, joint: {name: way, type: prismatic, axis: x}, mass: 2}
-"""
 TURNS = """
 model: slider.yaml
 scheme: radau
