@@ -85,6 +85,25 @@ def test_stages_read_their_bounds_from_the_numbers(name: str) -> None:
     assert read(text, "most") == [float(write_real(x)) for x in sources.values[sources.most]]
 
 
+def test_patterns_are_written_by_columns() -> None:
+    """Of each kind of stage the Jacobians of equations, continuity and inequalities, and the Hessian."""
+    text, tables = write("late")["push_tables.c"], design("late").tables
+    for shape, kind in zip(
+        re.findall(r"\{\{(\d+, \d+, \d+, \d+, \d+), (push_t\d+)\}", text), tables.kinds, strict=True
+    ):
+        assert shape[0] == f"{kind.nx}, {kind.nv}, {kind.ne}, {kind.ng}, {kind.inner}"
+        found = re.search(rf"{shape[1]}\[1\] = \{{\s+\{{(.*)\}}", text)
+        assert found is not None
+        names = re.findall(r"\{(push_t\d+), (push_t\d+)\}", found[1])
+        for (column, row), pattern in zip(names, (kind.de, kind.dd, kind.dg, kind.hessian), strict=True):
+            counts = np.diff(read(text, column))
+            assert len(counts) == pattern.shape[1]
+            entries = sum(int(x) for x in counts)
+            rows = np.array(read(text, row)[:entries], dtype=int)
+            assert np.repeat(np.arange(len(counts)), counts.astype(int)).tolist() == pattern.col.tolist()
+            assert rows.tolist() == pattern.row.tolist()
+
+
 @pytest.mark.parametrize("name", ["late", "free time"])
 def test_states_and_inputs_are_found_among_the_variables_of_a_stage(name: str) -> None:
     """Inputs of the model before controls; none at the end; a fixed horizon is nowhere."""

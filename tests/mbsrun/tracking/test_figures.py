@@ -205,6 +205,8 @@ def test_the_summary_has_the_figures_of_the_report(tmp_path: Path, monkeypatch: 
     assert (found["halt"], found["energy_drift"], found["first_seconds"]) == (None, 1e-9, 0.02)
     assert found["parameters"] == {}
     assert found["problem"] == "rail"
+    write(report(trial=replace(TRIAL, name="glissière")), tmp_path, monkeypatch)
+    assert '"problem": "glissière"' in (tmp_path / "summary.json").read_text("utf-8")
 
 
 def test_the_table_has_a_row_for_each_sample(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

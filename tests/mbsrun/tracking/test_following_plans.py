@@ -86,6 +86,11 @@ def test_each_sample_begins_at_the_measured_state(asked: Asked) -> None:
     assert asked.problems[0].solver.fallback is False
 
 
+def test_states_that_nothing_measures_begin_as_the_problem_says(asked: Asked) -> None:
+    give(start(states=(State("heat", "1", start=(0.5, 0.5)),)))
+    assert asked.problems[0].states[0].start == (0.5, 0.5)
+
+
 def test_a_plan_moves_ahead_by_the_time_that_has_passed(asked: Asked) -> None:
     """From rest at 0 to 1 the guess is smooth; two periods later, its second half comes first."""
     controller = start()
