@@ -195,6 +195,20 @@ def test_a_controller_plans_from_the_end_of_the_delay_and_is_told_what_was_given
     assert controller.noted[:4] == [(0.0, 50.0), (0.1, 50.1), (pytest.approx(0.2), 0.0), (pytest.approx(0.3), 1.0)]
 
 
+@pytest.mark.parametrize("delay", [0, 1, 3])
+def test_a_sample_that_fails_holds_the_inputs_asked_for_last(delay: int) -> None:
+    """Behind all others that are on their way."""
+
+    class Failing(Asking):
+        def feedback(self, q: Array, qd: Array) -> Decision:
+            found = super().feedback(q, qd)
+            return replace(found, is_solved=self.k != 3)  # the third sample, as the first plan comes before
+
+    found = run(Rail(is_whole=False), Failing(), duration=0.8, delay=delay, predicts=False, fallback=Fallback.HOLD)
+    asked = [-60.0, -60.1, -60.2][:delay] + [0.0, 1.0, 1.0, 3.0, 4.0, 5.0, 6.0, 7.0][: 8 - delay]
+    assert [sample.u[1] for sample in found.samples] == pytest.approx([-x for x in asked])
+
+
 def test_without_a_prediction_the_plan_before_gives_the_inputs() -> None:
     """The model stops in the fourth sample: it is counted, and it stops the loop where that is asked for."""
     plant = Rail()
