@@ -73,6 +73,7 @@ GUIDES: list[dict[str, Any]] = [  # titles, and the pages of `docs`
             "cpp.md",
             "rust.md",
             "julia.md",
+            "wasm.md",
         ]
     },
     {

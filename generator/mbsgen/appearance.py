@@ -7,13 +7,14 @@ each body and each end, and found again among the sensors of the Tree.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-from numpy.typing import NDArray
 from sympy import Expr, ImmutableMatrix, eye
 
+from mbsgen.algebra.dense import Dense, Row, add, apply, combine, dot, identity, times, transpose
+from mbsgen.algebra.rotations import axis_rotation
 from mbsgen.arrows import Texts, add_forces, rotate
 from mbsgen.expressions import FLOATS, Expression, evaluate
 from mbsgen.manifest import (
@@ -58,8 +59,6 @@ from mbsgen.model.quantities import find_read_frames
 from mbsgen.model.symbols import exact, to_double
 from mbsgen.model.tree import IDENTITY, Kind, Matrix, Sensor, Tree, Vector
 
-Array = NDArray[np.float64]
-
 
 def describe_appearance(model: Model, tree: Tree) -> Appearance:
     """Describe a model for pictures; `tree` is its tree, in the order of the manifest's frames."""
@@ -96,14 +95,14 @@ class _Seat:
     """Where a frame of the model stands, in a frame of the manifest; -1: the base."""
 
     frame: int
-    position: Array
-    axes: Array  # columns
+    position: Row
+    axes: Dense  # columns
     place_symbols: ImmutableMatrix  # the position, (3, 1), over symbols of run-time parameters
     axes_symbols: ImmutableMatrix
 
-    def place(self, point: Array) -> tuple[int, Array]:
+    def place(self, point: Row) -> tuple[int, Row]:
         """Find the place of a point."""
-        return self.frame, self.position + self.axes @ point
+        return self.frame, add(self.position, apply(self.axes, point))
 
 
 class _Seats:
@@ -123,17 +122,17 @@ class _Seats:
         values = {p.symbol: exact(p.value) for p in tree.parameters}
         constants = {p.symbol: values[p.symbol] for p in tree.parameters if p.kind is Kind.CONSTANT}
 
-        def number(matrix: tuple[Vector, ...]) -> Array:
-            return np.array([[to_double(x.xreplace(values)) for x in row] for row in matrix])
+        def number(matrix: tuple[Vector, ...]) -> Dense:
+            return tuple(tuple(to_double(x.xreplace(values)) for x in row) for row in matrix)
 
         def seat(sensor: Sensor) -> _Seat:
             own: Matrix = tree.bodies[sensor.body - 1].axes if sensor.body else IDENTITY
-            axes = number(own)
+            own_axes = transpose(number(own))
             position, turned = number((sensor.position,))[0], number(sensor.orientation)
             back = ImmutableMatrix(own).T.xreplace(constants)
             symbolic = (x.xreplace(constants) for x in map(ImmutableMatrix, (sensor.position, sensor.orientation)))
             place, orientation = (back * x for x in symbolic)
-            return _Seat(sensor.body - 1, axes.T @ position, axes.T @ turned, place, orientation)
+            return _Seat(sensor.body - 1, apply(own_axes, position), times(own_axes, turned), place, orientation)
 
         self._found = dict(zip(wanted, map(seat, sensors), strict=True))
         self._base = _Base(_read_parameters(model), texts)
@@ -152,15 +151,11 @@ class _Base:
 
     def seat(self, placement: Placement) -> _Seat:
         """Return the seat of a placement on the base."""
-        axes, symbols = np.eye(3), eye(3)
+        axes, symbols = combine(float, identity(3)), eye(3)
         for step in placement.orientation:
             symbols *= rotate(step.axis, self.texts.symbolize(step.angle))
-            c, s = (f(_float(step.angle, self.values)) for f in (np.cos, np.sin))
-            turn = np.eye(3)
-            j, k = (step.axis + 1) % 3, (step.axis + 2) % 3
-            turn[j, j] = turn[k, k] = c
-            turn[j, k], turn[k, j] = -s, s
-            axes = axes @ turn
+            c, s = (f(_float(step.angle, self.values)) for f in (math.cos, math.sin))
+            axes = times(axes, tuple(map(tuple, axis_rotation(step.axis, s, c, 0.0, 1.0).rows)))
         place = ImmutableMatrix([self.texts.symbolize(x) for x in placement.position])
         return _Seat(-1, _floats(placement.position, self.values), axes, place, ImmutableMatrix(symbols))
 
@@ -170,23 +165,24 @@ def _weigh(body: Body, seat: _Seat, values: Mapping[str, float]) -> Mass | None:
     mass = _float(body.mass, values)
     if not mass > 0:
         return None
-    tensor = seat.axes @ np.array([_floats(row, values) for row in centre_inertia(body).rows]) @ seat.axes.T
+    own = tuple(_floats(row, values) for row in centre_inertia(body).rows)
+    tensor = times(times(seat.axes, own), transpose(seat.axes))
     frame, centre = seat.place(_floats(body.com, values))
-    (xx, xy, xz), (_, yy, yz), (_, _, zz) = tensor.tolist()
+    (xx, xy, xz), (_, yy, yz), (_, _, zz) = tensor
     inertia = (xx, yy, zz, xy, xz, yz)
     return Mass(name=body.name, frame=frame, mass=mass, com=_triple(centre), inertia=inertia)
 
 
 def _describe_body(name: str, seat: _Seat) -> Seat:
-    return Seat(name=name, frame=seat.frame, at=_triple(seat.position), axes=tuple(seat.axes.T.ravel().tolist()))
+    return Seat(name=name, frame=seat.frame, at=_triple(seat.position), axes=_list_columns(seat.axes))
 
 
 def _describe_foot(wrench: Wrench, seat: _Seat, values: Mapping[str, float]) -> Foot:
     """Return the point of an open wrench; the axes of its body where they are not the axes of the frame."""
     frame, at = seat.place(_floats(wrench.position, values))
-    is_turned = bool(seat.axes_symbols.free_symbols) or not np.array_equal(seat.axes, np.eye(3))
-    axes = seat.axes.T.ravel().tolist() if is_turned and not wrench.in_base else ()
-    return Foot(frame=frame, at=_triple(at), axes=tuple(axes))
+    is_turned = bool(seat.axes_symbols.free_symbols) or seat.axes != identity(3)
+    axes = _list_columns(seat.axes) if is_turned and not wrench.in_base else ()
+    return Foot(frame=frame, at=_triple(at), axes=axes)
 
 
 def _describe_visual(name: str, visual: Visual, seat: _Seat, texts: Texts, values: Mapping[str, float]) -> Drawing:
@@ -198,7 +194,7 @@ def _describe_visual(name: str, visual: Visual, seat: _Seat, texts: Texts, value
         shape=visual.shape,
         size=tuple(_float(x, values) for x in visual.size),
         at=_triple(at),
-        axes=tuple((seat.axes @ own.axes).T.ravel().tolist()),
+        axes=_list_columns(times(seat.axes, own.axes)),
         color=visual.color,
         file=visual.file,
     )
@@ -246,27 +242,28 @@ def _describe_contact(contact: Contact, seats: _Seats, values: Mapping[str, floa
     plane, normal, ball, brick, rod = None, None, None, None, None
     match other:
         case Plane():
-            direction = carrier.axes @ _floats(other.normal, values)
+            direction = apply(carrier.axes, _floats(other.normal, values))
+            length = math.sqrt(dot(direction, direction))
             plane = _point(carrier.place(_floats(other.position, values)))
-            normal = _triple(direction / np.linalg.norm(direction))
+            normal = _triple(tuple(x / length for x in direction))
         case Sphere() if not other.inside:  # a hollow one would hide what is within
             ball = Ball(
                 centre=_point(carrier.place(_floats(other.position, values))), radius=_float(other.radius, values)
             )
         case Block():
-            edges, axes = _triple(_floats(other.size, values)), tuple(carrier.axes.T.ravel().tolist())
+            edges, axes = _triple(_floats(other.size, values)), _list_columns(carrier.axes)
             brick = Brick(centre=_point((carrier.frame, carrier.position)), axes=axes, size=edges)
         case Capsule():
             rod = Rod(
                 centre=_point((carrier.frame, carrier.position)),
-                axis=_triple(carrier.axes[:, 2]),
+                axis=_triple(transpose(carrier.axes)[2]),
                 radius=_float(other.radius, values),
                 length=_float(other.length, values),
             )
     return Touch(
         name=contact.name,
         centre=_point((seat.frame, seat.position)),
-        axes=tuple(seat.axes.T.ravel().tolist()),
+        axes=_list_columns(seat.axes),
         radius=_float(contact.radius, values),
         size=None if contact.size is None else _triple(_floats(contact.size, values)),
         plane=plane,
@@ -307,14 +304,18 @@ def _float(expression: Expression, values: Mapping[str, float]) -> float:
     return float(evaluate(expression, values, FLOATS))
 
 
-def _floats(triple: Triple, values: Mapping[str, float]) -> Array:
-    return np.array([_float(x, values) for x in triple])
+def _floats(triple: Triple, values: Mapping[str, float]) -> Row:
+    return tuple(_float(x, values) for x in triple)
 
 
-def _triple(v: Array) -> tuple[float, float, float]:
-    x, y, z = v.tolist()
+def _triple(v: Row) -> tuple[float, float, float]:
+    x, y, z = v
     return x, y, z
 
 
-def _point(placed: tuple[int, Array]) -> Point:
+def _list_columns(axes: Dense) -> tuple[float, ...]:
+    return tuple(x for column in transpose(axes) for x in column)
+
+
+def _point(placed: tuple[int, Row]) -> Point:
     return Point(frame=placed[0], at=_triple(placed[1]))

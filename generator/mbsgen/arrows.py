@@ -11,8 +11,6 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from typing import Protocol
 
-import numpy as np
-from numpy.typing import NDArray
 from sympy import (
     Abs,
     Add,
@@ -35,6 +33,7 @@ from sympy import (
     tanh,
 )
 
+from mbsgen.algebra.dense import Dense, Row, add, apply, transpose
 from mbsgen.expressions import (
     FLOATS,
     Call,
@@ -94,11 +93,11 @@ class Seat(Protocol):
         """Return the index of the frame; -1: the base."""
 
     @property
-    def position(self) -> NDArray[np.float64]:
+    def position(self) -> Row:
         """Return the position [m], (3,)."""
 
     @property
-    def axes(self) -> NDArray[np.float64]:
+    def axes(self) -> Dense:
         """Return the axes as columns, (3, 3)."""
 
     @property
@@ -296,14 +295,15 @@ class _Writing:
         formulas = [*self._write_point((*place, "at"), wrench.body, HERE, wrench.position)]
         formulas += self._write_axes(place, wrench)
         seat = self._seats.find(wrench.body)
-        x, y, z = (seat.position + seat.axes @ [self._texts.present(c) for c in wrench.position]).tolist()
+        own = [self._texts.present(c) for c in wrench.position]
+        x, y, z = add(seat.position, apply(seat.axes, own))
         self._formulas += formulas
         given.append(
             Given(
                 name=wrench.name,
                 at=Point(frame=seat.frame, at=(x, y, z)),
                 in_base=wrench.in_base,
-                axes=tuple(seat.axes.T.ravel().tolist()),
+                axes=tuple(x for column in transpose(seat.axes) for x in column),
                 force=parts[0],
                 moment=parts[1],
             )
@@ -351,7 +351,7 @@ class _Writing:
         is_rate = quantity.reading is Kinematics.VELOCITY
         frame = next(x for x in self._model.frames if x.name == quantity.source)
         seat = self._seats.find(frame.body, frame.placement)
-        x, y, z = seat.position.tolist()
+        x, y, z = seat.position
         self._moved[name] = [*self._write_point(("point",), frame.body, frame.placement)]
         return Reading(
             name=name, rate=is_rate, entry="xyz".index(name[is_rate]), point=Point(frame=seat.frame, at=(x, y, z))

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mbsgen.assembly.assemble import AssemblyError, assemble
+from mbsgen.assembly import AssemblyError, assemble
 from mbsgen.closed_comparison import RESULTS as CLOSED_RESULTS
 from mbsgen.closed_comparison import Joints, compute_ours, compute_theirs, draw_states, find_uncompared
 from mbsgen.errors import Fault, InputError

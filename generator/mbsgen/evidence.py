@@ -8,7 +8,7 @@ model's residual; its rows of moving joints must then vanish, and the other rows
 from __future__ import annotations
 
 import random
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -29,6 +29,7 @@ from mbsgen.model.valuation import Valuation
 from mbsgen.procedure.procedure import straight
 from mbsgen.request import Request
 from mbsgen.roles import Axis, Role
+from mbsgen.scene_tables import Evidence
 from mbsgen.tape.counts import count
 from mbsgen.tape.interpreter import FLOATS, evaluate
 from mbsgen.tape.ports import Port
@@ -38,15 +39,6 @@ POINTS = 3  # random states
 _OF_ALL_MASS = (ports.POTENTIAL, ports.CENTRE_OF_MASS)  # results that include bodies at rest
 Array = NDArray[np.float64]
 State = dict[str, Array]
-
-
-@dataclass(frozen=True)
-class Evidence:
-    """The flops that a scene saves, and the deviations that it causes."""
-
-    flops: Mapping[str, Mapping[str, int]]  # of functions, by the parts left out so far
-    deviations: Mapping[str, float]  # of functions from the whole model's, relative to the largest result
-    approximation: Approximation | None = None  # the numbers left out besides, and their effect
 
 
 def gather(model: Model, request: Request, approximation: Approximation | None = None) -> Evidence:
@@ -240,26 +232,3 @@ def _evaluate(tape: Tape, state: State) -> State:
 def _differ(found: Array, expected: Array) -> float:
     size = max(float(np.abs(expected).max(initial=0.0)), float(np.abs(found).max(initial=0.0)))
     return float(np.abs(found - expected).max(initial=0.0)) / size if size else 0.0
-
-
-def describe(evidence: Evidence, names: Sequence[str]) -> list[tuple[str, ...]]:
-    """Arrange evidence in rows: a title, then a cell for each function."""
-    rows = [(title, *(str(flops.get(name, "")) for name in names)) for title, flops in evidence.flops.items()]
-    if evidence.deviations:
-        rows.append(_tell("differs from the whole by", evidence.deviations, names))
-    if evidence.approximation is not None:
-        rows.append(_tell("and, by the tolerance, by", evidence.approximation.errors, names))
-        if evidence.approximation.slopes:
-            rows.append(_tell("its Jacobian, by the tolerance, by", evidence.approximation.slopes, names))
-    return rows
-
-
-def _tell(title: str, found: Mapping[str, float], names: Sequence[str]) -> tuple[str, ...]:
-    return title, *(f"{found[n]:.1e}" if n in found else "" for n in names)
-
-
-def describe_cuts(evidence: Evidence) -> list[tuple[str, ...]]:
-    """Arrange the cuts of an approximation in rows: name, value, error of this cut alone, saved flops."""
-    if evidence.approximation is None:
-        return []
-    return [(x.cut.name, x.cut.value, f"{x.error:.1e}", str(x.flops)) for x in evidence.approximation.taken]

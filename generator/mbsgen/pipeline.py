@@ -15,12 +15,10 @@ from sympy import Expr, Symbol
 
 from mbsgen import __version__, manifest, renumbering
 from mbsgen.appearance import describe_appearance, write_formulas
-from mbsgen.approximation.choice import Approximation, approximate
 from mbsgen.assembly import AssemblyError, assemble, list_held, list_redundant
 from mbsgen.assembly import release as release_tree
 from mbsgen.documents import Place, abbreviate, read_document, refuse, write_path
 from mbsgen.errors import Fault
-from mbsgen.evidence import gather
 from mbsgen.expressions import Number
 from mbsgen.families import Functions, Tell, say_nothing, write_families, write_functions
 from mbsgen.formulations.catalogue import list_results
@@ -53,6 +51,7 @@ from mbsgen.procedure.procedure import Computation, Procedure
 from mbsgen.renumbering import Changes, Numbers
 from mbsgen.report import Report, make_report, write_json, write_markdown
 from mbsgen.request import DEFAULT, OptionError, Options, Request, merge
+from mbsgen.scene_tables import Evidence
 from mbsgen.targets.c.files import Sources, write_c
 from mbsgen.targets.c.symbols import check_prefix
 from mbsgen.targets.contract import Family
@@ -63,6 +62,7 @@ from mbsgen.targets.unit import Unit
 from mbsgen.verification.verify import Verification, verify
 
 if TYPE_CHECKING:
+    from mbsgen.approximation.choice import Approximation
     from mbsgen.equations import Motion as Equations
     from mbsgen.subjects.scaling import Scaled
     from mbsgen.subjects.settings import Subject
@@ -129,7 +129,7 @@ def _make(model: Path | Model, options: Options, tell: Tell) -> Product:
     if options.opened:
         laws = {"open_joints": opened.joints, "open_contacts": opened.contacts}
         described = described.model_copy(update=laws)
-    evidence = None if request.scene == EVERYTHING else gather(whole, request, trees.approximation)
+    evidence = _gather(whole, request, trees.approximation)
     tell("the report")
     report = make_report(
         trees.written,
@@ -142,7 +142,8 @@ def _make(model: Path | Model, options: Options, tell: Tell) -> Product:
         compare=request.compare,
     )
     files = _write_files(unit, sources, described, report, request)
-    packed = [target.pack(described, files) for target in find_targets(request.targets)]
+    targets, plain = find_targets(request.targets), _leave_precise_out(unit)
+    packed = [{**target.pack(described, files), **target.encode(plain)} for target in targets]
     packages = {path: content for found in packed for path, content in found.items()}
     return Product(described, report, files, packages)
 
@@ -179,8 +180,18 @@ def _build_trees(whole: Model, staged: Model, request: Request) -> _Trees:
             f"tolerance: errors of the reactions are not estimated, on which friction depends in joint {loaded[0]}; "
             "leave it out"
         )
+    from mbsgen.approximation.choice import approximate  # few models; it loads NumPy
+
     approximation = approximate(written, request.tolerance, request)
     return _Trees(written, parametric, approximation.tree, approximation)
+
+
+def _gather(whole: Model, request: Request, approximation: Approximation | None) -> Evidence | None:
+    if request.scene == EVERYTHING:
+        return None
+    from mbsgen.evidence import gather  # it loads NumPy
+
+    return gather(whole, request, approximation)
 
 
 def _make_unit(trees: _Trees, functions: Functions, verification: Verification, request: Request) -> Unit:
@@ -203,10 +214,14 @@ def _make_unit(trees: _Trees, functions: Functions, verification: Verification, 
     )
 
 
+def _leave_precise_out(unit: Unit) -> Unit:
+    return replace(unit, families=tuple(family for family in unit.families if not family.is_precise))
+
+
 def _write_files(
     unit: Unit, sources: Sources, described: Manifest, report: Report, request: Request
 ) -> Mapping[str, str]:
-    other = replace(unit, families=tuple(family for family in unit.families if not family.is_precise))
+    other = _leave_precise_out(unit)
     written = [target.write(other) for target in find_targets(request.targets)]
     return {
         **sources.files,

@@ -9,14 +9,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-from numpy.typing import NDArray
-
+from mbsgen.algebra.dense import Dense, Row, combine, dot, identity, subtract
 from mbsgen.expressions import FLOATS, Expression, Number, Operation, evaluate, parse
 from mbsgen.model.expansion import list_steps
 from mbsgen.model.model import Body, Fixed, Friction, Inertia, Joint, Law, Model
-
-Array = NDArray[np.float64]
 
 DIGITS = 13  # of written numbers
 
@@ -113,16 +109,18 @@ def _read_moments(body: Body, values: Mapping[str, float]) -> tuple[float, ...]:
     def read(number: Expression) -> float:
         return evaluate(number, values, FLOATS)
 
-    m, com = read(body.mass), np.array([read(x) for x in body.com])
-    about = com if body.inertia.about is None else np.array([read(x) for x in body.inertia.about])
-    J = np.array([[read(x) for x in row] for row in body.inertia.rows])
-    J = J + steiner(m, com) - steiner(m, com - about)
-    return (m, *(m * com).tolist(), *J[np.triu_indices(3)].tolist())
+    m, com = read(body.mass), tuple(read(x) for x in body.com)
+    about = com if body.inertia.about is None else tuple(read(x) for x in body.inertia.about)
+    own = tuple(tuple(read(x) for x in row) for row in body.inertia.rows)
+    J = combine(lambda x, y, z: x + y - z, own, steiner(m, com), steiner(m, subtract(com, about)))
+    return (m, *(m * x for x in com), *(J[r][c] for r in range(3) for c in range(r, 3)))
 
 
-def steiner(m: float, r: Array) -> Array:
+def steiner(m: float, r: Row) -> Dense:
     """Return the tensor of a point mass at r."""
-    return m * (r @ r * np.eye(3) - np.outer(r, r))
+    square = dot(r, r)
+    products = tuple(tuple(x * y for y in r) for x in r)
+    return combine(lambda one, product: m * (square * one - product), identity(3), products)
 
 
 def _change_body(i: int, body: Body, changes: Changes) -> Body:
@@ -132,11 +130,12 @@ def _change_body(i: int, body: Body, changes: Changes) -> Body:
     if body.name not in changes.moments:
         return body
     m, *rest = (float(x) for x in changes.moments[body.name])
-    com, J = np.array(rest[:3]) / m, np.zeros((3, 3))
-    J[np.triu_indices(3)] = rest[3:]
-    J = J + np.triu(J, 1).T - steiner(m, com)
+    com = tuple(moment / m for moment in rest[:3])
+    shift = steiner(m, com)
+    places = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+    J = (_round(moment - shift[r][c]) for moment, (r, c) in zip(rest[3:], places, strict=True))
     x, y, z = (_round(c) for c in com)
-    xx, yy, zz, xy, xz, yz = (_round(J[k]) for k in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)))
+    xx, xy, xz, yy, yz, zz = J
     return replace(body, mass=_round(m), com=(x, y, z), inertia=Inertia(xx, yy, zz, xy, xz, yz))
 
 

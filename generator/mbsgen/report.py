@@ -19,7 +19,6 @@ from sympy import Expr
 
 from mbsgen import assembly
 from mbsgen.assembly import Findings
-from mbsgen.evidence import Evidence, describe, describe_cuts
 from mbsgen.formulations import ports
 from mbsgen.formulations.catalogue import list_rows, write_row
 from mbsgen.formulations.reductions import ALL, NONE, Reductions
@@ -27,6 +26,7 @@ from mbsgen.manifest import Flops, Kernel
 from mbsgen.model.symbols import exact, to_double
 from mbsgen.model.tree import Kind, Tree
 from mbsgen.roles import Order
+from mbsgen.scene_tables import Evidence, describe, describe_cuts
 from mbsgen.tape.counts import count
 from mbsgen.tape.passes import hoist
 from mbsgen.tape.types import Tape

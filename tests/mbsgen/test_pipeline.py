@@ -67,6 +67,16 @@ def test_the_same_bytes_under_any_hash_seed(model: Path) -> None:
     assert {Path(name).suffix for name in folders[0]} >= {".c", ".h", ".py", ".m", ".json", ".md"}
 
 
+def test_a_tree_is_generated_without_numpy(model: Path) -> None:
+    """Browsers run the generator without it; the bytes are the same."""
+    folders = []
+    for name, before in (("with", ""), ("without", "import sys\nsys.modules['numpy'] = None\n")):
+        out = model.parent / name
+        subprocess.run([sys.executable, "-c", before + GENERATE, str(out)], cwd=model.parent, check=True)
+        folders.append(read_folder(out))
+    assert folders[0] == folders[1]
+
+
 def test_no_file_tells_where_or_when_it_was_made(model: Path) -> None:
     for name, text in make(model, ALL).files.items():
         assert not Path(name).is_absolute()

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from mbsgen.assembly.assemble import AssemblyError, assemble, release
-from mbsgen.assembly.findings import Findings, describe, list_held, list_redundant
-from mbsgen.assembly.poses import reach
+from mbsgen.assembly.entry import assemble, describe, list_held, list_redundant
+from mbsgen.assembly.results import AssemblyError, Findings, release
 
-__all__ = ["AssemblyError", "Findings", "assemble", "describe", "list_held", "list_redundant", "reach", "release"]
+__all__ = ["AssemblyError", "Findings", "assemble", "describe", "list_held", "list_redundant", "release"]

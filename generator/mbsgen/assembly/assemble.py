@@ -21,8 +21,8 @@ from mbsgen.assembly.choice import REGULAR, choose_columns, choose_rows, measure
 from mbsgen.assembly.mechanism import Array, Mechanism, place_roughly
 from mbsgen.assembly.poses import NEAR, OPEN, Attempt, close, find_pose, rank, walk
 from mbsgen.assembly.readings import Reading, is_weak, list_readings
+from mbsgen.assembly.results import AssemblyError, release
 from mbsgen.documents import Finding, Place, abbreviate
-from mbsgen.errors import MbsError
 from mbsgen.model.symbols import exact, to_double
 from mbsgen.model.tree import Closure, Cut, Kind, Tree, coordinate_symbol
 
@@ -33,21 +33,11 @@ KINK, ASIDE, JUMP = 1e-12, 1e-6, 1e-3  # of a kink: how near it is, steps to bot
 BROKEN = 10 * OPEN  # residual of a redundant equation at other numbers; where it still holds, it is at most some OPEN
 
 
-class AssemblyError(MbsError):
-    """Loops that cannot be computed with; the findings have places in the model."""
-
-    def __init__(self, name: str, findings: Sequence[Finding]) -> None:
-        self.findings = tuple(findings)
-        super().__init__("\n".join(f"model {name}: {found.finding}; {found.remedy}" for found in findings))
-
-
-def assemble(tree: Tree) -> Tree:
-    """Return a tree with its closure; a tree without loops as it is. Raises AssemblyError.
+def assemble_loops(tree: Tree) -> Tree:
+    """Return a tree with its closure. Raises AssemblyError.
 
     Where no equation restricts the joints, the loops and constraints are left out.
     """
-    if not tree.is_constrained:
-        return tree
     mechanism, rough = Mechanism(tree), place_roughly(tree)
     if undefined := _find_undefined(tree, rough):
         raise AssemblyError(tree.name, undefined)
@@ -55,17 +45,13 @@ def assemble(tree: Tree) -> Tree:
     if len(reading.kept) < len(mechanism.equations):
         _check_redundancy(tree, mechanism, reading)
     if not reading.kept and mechanism.equations:
-        return assemble(release(tree))
+        free = release(tree)
+        return assemble_loops(free) if free.is_constrained else free
     dependent = _choose_dependent(tree, reading.poses[0][list(reading.kept)])
     independent = tuple(i for i in range(mechanism.n) if i not in dependent)
     pose, kept = tuple(float(x) for x in reading.places[0]), reading.kept
     units = mechanism.size, mechanism.unit, *mechanism.choose_pulls(reading.places[0], kept)
     return replace(tree, closure=Closure(pose, kept, independent, dependent, reading.distance, *units))
-
-
-def release(tree: Tree) -> Tree:
-    """Return a tree without its loops and constraints."""
-    return replace(tree, loops=(), constraints=(), chosen=(), rough=())
 
 
 def _choose_reading(mechanism: Mechanism, rough: Array) -> Reading:

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from mbsgen.assembly.choice import measure
 from mbsgen.assembly.mechanism import Array, Mechanism, name_equations
 from mbsgen.assembly.poses import Attempt, close, find_solved, null_space, walk
+from mbsgen.assembly.results import Findings
 from mbsgen.formulations.closure import list_equations
-from mbsgen.model.tree import Motion, Tree
+from mbsgen.model.tree import Closure, Motion, Tree
 
 STARTS = 48  # from which other assemblies are searched for
 LARGEST = 12  # dependent coordinates, up to which they are
@@ -18,30 +17,9 @@ APART = 1e-6  # rad or m between two assemblies
 RESTING = 1e-6  # of the velocity of a joint, where the velocities of all together have the length 1
 
 
-@dataclass(frozen=True)
-class Findings:
-    """The loops of a tree, in names and numbers."""
-
-    redundant: tuple[str, ...]  # equations that follow from others
-    kept: int  # equations that remain
-    coordinates: int  # entries of qd
-    independent: tuple[str, ...]
-    is_chosen: bool  # by the author
-    regularity: float  # the least singular value of the dependent columns of J, as a part of J's largest
-    assemblies: tuple[tuple[float, ...], ...]  # poses with the same independent coordinates; the first is computed with
-    distance: float = 0.0  # within which the redundant equations hold: in rad, or of the size of a loop
-
-    @property
-    def freedoms(self) -> int:
-        """Count the degrees of freedom, driven joints included."""
-        return self.coordinates - self.kept
-
-
-def describe(tree: Tree) -> Findings | None:
-    """Describe the loops of an assembled tree; None without any."""
-    if tree.closure is None or not (tree.loops or tree.constraints):
-        return None
-    mechanism, closure, names = Mechanism(tree), tree.closure, [joint.name for joint in tree.joints]
+def describe_loops(tree: Tree, closure: Closure) -> Findings:
+    """Describe the loops of an assembled tree."""
+    mechanism, names = Mechanism(tree), [joint.name for joint in tree.joints]
     J = mechanism.J(np.array(closure.pose))[list(closure.kept)]
     return Findings(
         list_redundant(tree),
@@ -62,15 +40,13 @@ def list_redundant(tree: Tree) -> tuple[str, ...]:
     return name_equations(tree, (i for i, _ in enumerate(list_equations(tree)) if i not in closure.kept))
 
 
-def list_held(tree: Tree) -> tuple[str, ...]:
+def find_held(tree: Tree, closure: Closure) -> tuple[str, ...]:
     """Name the joints that the loops of an assembled tree keep at rest, wherever the others move."""
-    if tree.closure is None:
-        return ()
     mechanism, names = Mechanism(tree), [joint.name for joint in tree.joints]
     moves = np.zeros(len(names), bool)
-    kept, slack = find_solved(tree.closure)
+    kept, slack = find_solved(closure)
     own = slice(None) if kept is None else list(kept)
-    for q in walk(mechanism, np.array(tree.closure.pose), kept, slack):
+    for q in walk(mechanism, np.array(closure.pose), kept, slack):
         moves |= np.linalg.norm(null_space(mechanism.J(q)[own]), axis=1) > RESTING
     return tuple(name for name, is_moving in zip(names, moves, strict=True) if not is_moving)
 

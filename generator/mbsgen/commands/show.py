@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.text import Text
 from rich.tree import Tree as Branches
 
-from mbsgen.assembly import reach
+from mbsgen.assembly.poses import reach
 from mbsgen.commands.importing import MODEL, importing, read_model
 from mbsgen.help import ModelCommand
 from mbsgen.importing import Choices

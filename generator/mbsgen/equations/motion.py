@@ -10,11 +10,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
-import numpy as np
 import sympy as sp
 from mpmath import mpf
-from numpy.typing import NDArray
 
 from mbsgen.assembly import assemble
 from mbsgen.equations.named import Forces, Number, name_forces
@@ -32,7 +31,9 @@ from mbsgen.tape.interpreter import evaluate
 from mbsgen.tape.ports import Port
 from mbsgen.tape.types import Input, Tape
 
-Array = NDArray[np.float64]
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
 
 class EvaluationError(MbsError):
@@ -135,11 +136,13 @@ class Motion:
             slopes[line.name] = differentiate(line.expression)
         return sp.Matrix(column.rows, len(by), [entry for row in column for entry in differentiate(row)])
 
-    def evaluate(self, value: sp.Matrix, **inputs: Sequence[float]) -> Array:
+    def evaluate(self, value: sp.Matrix, **inputs: Sequence[float]) -> NDArray[np.float64]:
         """Evaluate a matrix, with `values` for parameters, and inputs by their names in kernels: q, qd, qdd, u, w, lam.
 
         Raises EvaluationError for inputs that are too long or too short, or missing.
         """
+        import numpy as np  # here alone: whoever prints equations needs no arrays
+
         given = {symbol: sp.Float(number, _DIGITS) for symbol, number in self.values.items()}
         for name, numbers in inputs.items():
             found = self.naming.read(name, [float(x) for x in numbers])

@@ -9,14 +9,13 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-from numpy.typing import NDArray
-
+from mbsgen.algebra.dense import find_eigen
 from mbsgen.algebra.vectors import Vector
 from mbsgen.formulations import ports
 from mbsgen.formulations.chain import joint_forces, write_chain
 from mbsgen.formulations.condition import give_way
 from mbsgen.formulations.parsimony.articulated import Body, accelerations
+from mbsgen.formulations.parsimony.proportions import turn_moments
 from mbsgen.formulations.parsimony.segments import Segment, align, children, feels_itself, largest_inertias
 from mbsgen.formulations.parsimony.writing import Writing, begin
 from mbsgen.formulations.planning import find_least_shares, find_plans, finish
@@ -133,14 +132,12 @@ def _is_pair(tree: Tree, segments: Sequence[Segment], segment: Segment) -> bool:
     return any(not feels_itself(child) for child in children(segments, segment.number))
 
 
-def _find_moments(segment: Segment) -> NDArray[np.float64] | None:
+def _find_moments(segment: Segment) -> tuple[float, ...] | None:
     """Return the principal moments of inertia of a body about its origin, ascending; None unless they are known."""
-    P = [[segment.moments.P[r, c].literal for c in range(3)] for r in range(3)]
+    P = tuple(tuple(segment.moments.P[r, c].literal for c in range(3)) for r in range(3))
     if any(x is None for row in P for x in row):
         return None
-    second = np.array(P, dtype=np.float64)
-    moments: NDArray[np.float64] = np.linalg.eigvalsh(np.trace(second) * np.eye(3) - second)
-    return moments
+    return find_eigen(turn_moments(P))[0]
 
 
 def _is_product(segments: Sequence[Segment], segment: Segment, largest: Scalar) -> bool:

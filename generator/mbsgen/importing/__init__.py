@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from mbsgen.importing.drafting import Choices, Imported, Mimic
+from mbsgen.importing.choices import Choices, Imported, Mimic
 from mbsgen.importing.findings import Notice
 from mbsgen.importing.formats import import_model, is_foreign, list_formats
 from mbsgen.importing.writing import write_imported

@@ -11,18 +11,18 @@ import re
 import unicodedata
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
 from mbsgen.documents import Data, Place, abbreviate, nearest, take
 from mbsgen.errors import Fault
 from mbsgen.expressions import FLOATS, Call, Expression, Name, Number, Operation, evaluate, is_free_name, spell
+from mbsgen.importing.choices import Choices, Imported, MasslessError
 from mbsgen.importing.closing import Closing, Closure, Equation, Rule, Spot, Term
-from mbsgen.importing.findings import Findings, Notice
+from mbsgen.importing.findings import Findings
 from mbsgen.importing.markup import Element
 from mbsgen.importing.poses import ORIGIN, Array, Pose, Writer, write_axis, write_triple
+from mbsgen.importing.rotations import turn
 from mbsgen.importing.solids import NOTHING, Solid, add, find_miss, show_moments, write_inertia
 from mbsgen.model.checks.checks import find_faults
 from mbsgen.model.checks.naming import MAX_LENGTH
@@ -56,7 +56,6 @@ from mbsgen.model.model import (
     Wrench,
 )
 from mbsgen.model.muscles import Muscle
-from mbsgen.model.orientations import turn
 from mbsgen.model.quantities import find_moving, list_poses, name_lengths
 from mbsgen.model.topology import find_carriers
 from mbsgen.model.tree import Motion
@@ -68,63 +67,6 @@ SLIGHT = 1e-9  # m2: a body whose inertia is less than this times its mass is a 
 AGREED = 1e-6  # rad or m: the digits with which joints are held
 GROSS = 0.5  # of the largest moment of bodies fixed together: beyond this, results mean little
 _LENGTH = "length of "  # and the name of a line: its key beside the names of joints
-
-Mimic = Literal["couple", "free", "lock"]
-
-
-@dataclass(frozen=True)
-class Choices:
-    """Choices that a file leaves open, or that a model needs."""
-
-    name: str | None = None  # of the model; None: the file's
-    base: Literal["fixed", "floating"] = "fixed"  # whether the root link of URDF is fixed to the base
-    gravity: tuple[float, float, float] | None = None  # None: the file's, or 9.81 m/s2 down the z axis
-    sensors: tuple[str, ...] = ()  # links, bodies and sites that become frames
-    locked: tuple[tuple[str, float], ...] = ()  # joints that are held, with their coordinates [rad or m]
-    lock_massless: bool = False  # hold joints whose accelerations nothing determines, at 0
-    mimic: Mimic = "couple"  # the treatment of joints that follow others
-    loop_tolerance: float | None = None  # of equations that follow from others; None: by the digits of the file
-    rigid_tendons: bool = False  # of muscles, whatever the file says
-    degroote: bool = False  # curves of all muscles, whatever the file says
-    opened: tuple[str, ...] = ()  # links and bodies with a wrench that a use gives, and a sensor
-    quaternions: bool = False  # for balls and free bodies; else turns about z, y, x
-    friction_speed: float = 0.01  # at which 3/4 of dry friction are reached [rad/s or m/s]
-    dry_friction: bool = False  # joints stick and slide, in simulations; else friction is smoothed
-    stops: float | None = None  # the restitution of rigid stops at all limits; None: no stops
-    contacts: float | None = None  # the restitution of rigid contacts with the planes of MJCF; None: no contacts
-    quarter_turns: float = 1e-11  # angles nearer than this to a quarter turn are rounded to it [rad]
-    allow_unphysical: bool = False  # accept inertias that no body can have
-    root: Path | None = None  # the folder that holds all files which the file names; None: the file's own
-
-
-@dataclass(frozen=True)
-class FileCoordinate:
-    """A coordinate of the file: ratio times the coordinate of a joint of the model, plus offset."""
-
-    name: str
-    joint: str  # "": it stands still, at the offset
-    ratio: float
-    offset: float
-
-
-@dataclass(frozen=True)
-class Imported:
-    """A model of a file in another format, and the notices about it."""
-
-    model: Model
-    notices: tuple[Notice, ...]  # changes and omissions; effects on the motion first
-    visible: tuple[str, ...] = ()  # names in the file of possible sensors
-    labels: Mapping[str, str] = field(default_factory=dict)  # of sensors and forces: names in the file
-    coordinates: tuple[FileCoordinate, ...] = ()  # of a file whose joints have several
-    balls: tuple[tuple[str, str, str], ...] = ()  # coordinates whose speeds in the file are angular velocities
-
-
-class MasslessError(Exception):
-    """Raised where the choices ask that joints be held which move nothing: their names in the file."""
-
-    def __init__(self, joints: Sequence[str]) -> None:
-        self.joints = joints
-        super().__init__(", ".join(joints))
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,8 +10,8 @@ from pathlib import Path
 from mbsgen.documents import abbreviate
 from mbsgen.errors import Fault, InputError
 from mbsgen.expressions import Number
+from mbsgen.importing.choices import Choices, Imported, MasslessError
 from mbsgen.importing.digits import list_numbers
-from mbsgen.importing.drafting import Choices, Imported, MasslessError
 from mbsgen.importing.findings import Findings, Notice
 from mbsgen.importing.markup import Element, read_markup
 from mbsgen.model.digits import find_tolerance, list_geometry

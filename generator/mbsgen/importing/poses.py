@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbsgen.expressions import Expression, Number
+from mbsgen.importing.rotations import find_turns, turn
 from mbsgen.model.model import UNITS, Placement, Rotation, Triple
-from mbsgen.model.orientations import QUARTER, find_turns, turn, write_angle
+from mbsgen.model.orientations import QUARTER, write_angle
 
 Array = NDArray[np.float64]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Iterator
 
-from mbsgen.importing.drafting import Imported
+from mbsgen.importing.choices import Imported
 from mbsgen.model.writer import write_model
 
 WIDTH = 118

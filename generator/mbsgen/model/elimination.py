@@ -18,7 +18,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
 
-import numpy as np
 from mpmath import mpf
 
 from mbsgen.documents import Finding
@@ -251,6 +250,8 @@ def _check_linear(model: Model) -> Iterator[Finding]:
     Gauss and Jordan's elimination in doubles, row by row: each row that is kept has 1 in the column of its pivot, and
     the other rows have 0 there.
     """
+    import numpy as np  # here alone: few models have constraints
+
     joints = [step.name for step in list_joints(model) if step.joint.follows is None]
     columns, forms = {name: k for k, name in enumerate(joints)}, _express(model)
     rows = np.zeros((len(joints), len(joints) + 1))

@@ -5,13 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-import numpy as np
-from numpy.typing import NDArray
-
+from mbsgen.algebra.dense import Dense, Row, combine, dot, identity, skew, times
 from mbsgen.expressions import Constant, Expression, Negation, Number, Operation
 from mbsgen.model.model import Rotation
-
-Array = NDArray[np.float64]
 
 QUARTER = math.pi / 2
 LOCKED = 1e-12  # the cosine of a middle angle at which only the sum of the two others matters
@@ -27,41 +23,43 @@ QUARTERS: dict[int, Expression] = {
 }
 
 
-def turn(axis: Sequence[float] | Array, angle: float) -> Array:
+def turn(axis: Sequence[float], angle: float) -> Dense:
     """Return the rotation about a direction of any length; quarter turns of the nearest double are exact."""
-    x, y, z = np.asarray(axis, float) / np.linalg.norm(axis)
+    cross = skew(_normalise(axis))
     quarters = round(angle / QUARTER)
     if abs(quarters) < 100 and angle == quarters * QUARTER:
         c, s = (1.0, 0.0, -1.0, 0.0)[quarters % 4], (0.0, 1.0, 0.0, -1.0)[quarters % 4]
     else:
         c, s = math.cos(angle), math.sin(angle)
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    rotation: Array = np.eye(3) + s * cross + (1 - c) * (cross @ cross)
-    return rotation
+    return combine(lambda one, a, b: one + s * a + (1 - c) * b, identity(3), cross, times(cross, cross))
 
 
-def turn_quaternion(q: Sequence[float]) -> Array:
+def _normalise(v: Sequence[float]) -> Row:
+    length = math.sqrt(dot(v, v))
+    return tuple(x / length for x in v)
+
+
+def turn_quaternion(q: Sequence[float]) -> Dense:
     """Return the rotation of a quaternion w, x, y, z of any length but 0."""
-    w, x, y, z = np.asarray(q, float) / np.linalg.norm(q)
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
+    w, x, y, z = _normalise(q)
+    return (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
     )
 
 
-def find_turns(rotation: Array) -> tuple[tuple[int, float], ...]:
+def find_turns(rotation: Dense) -> tuple[tuple[int, float], ...]:
     """Return the turns about z, y and x that make a rotation; each is removed before the next is found."""
-    z = math.atan2(rotation[1, 0], rotation[0, 0]) if math.hypot(rotation[1, 0], rotation[0, 0]) > LOCKED else 0.0
-    rest = turn((0, 0, 1), -z) @ rotation
-    y = math.atan2(-rest[2, 0], rest[0, 0])
-    rest = turn((0, 1, 0), -y) @ rest
-    return (2, z), (1, y), (0, math.atan2(rest[2, 1], rest[1, 1]))
+    c, s = rotation[0][0], rotation[1][0]
+    z = math.atan2(s, c) if math.hypot(s, c) > LOCKED else 0.0
+    rest = times(turn((0, 0, 1), -z), rotation)
+    y = math.atan2(-rest[2][0], rest[0][0])
+    rest = times(turn((0, 1, 0), -y), rest)
+    return (2, z), (1, y), (0, math.atan2(rest[2][1], rest[1][1]))
 
 
-def write_turns(rotation: Array) -> tuple[Rotation, ...]:
+def write_turns(rotation: Dense) -> tuple[Rotation, ...]:
     """Write a rotation as turns of a model, quarter turns exactly."""
     written = [(axis, write_angle(angle, ROUNDING)) for axis, angle in find_turns(rotation)]
     return tuple(Rotation(axis, angle) for axis, angle in written if angle != Number(0.0))

@@ -7,13 +7,14 @@ the rest of the file is examined. Lengths are in m, angles in rad, forces in N, 
 from __future__ import annotations
 
 import math
+import operator
 from dataclasses import replace
 from typing import Annotated, Any, Literal
 
-import numpy as np
 from pydantic import Discriminator, Field, PlainValidator, Tag
 
 from mbsgen import documents
+from mbsgen.algebra.dense import combine, cross, dot, identity, times, transpose
 from mbsgen.documents import Section, WrongValueError, abbreviate
 from mbsgen.expressions import FLOATS, Expression, ExpressionError, evaluate
 from mbsgen.model.model import (
@@ -119,11 +120,14 @@ def read_matrix(value: Any) -> tuple[Rotation, ...]:
     rows = value if isinstance(value, list) else []
     if len(rows) != 3 or not all(isinstance(row, list) and len(row) == 3 for row in rows):
         raise WrongValueError(f"found {abbreviate(value)}", "give three rows of three numbers")
-    R = np.array([[_read_constant(entry) for entry in row] for row in rows])
-    off = float(np.abs(R.T @ R - np.eye(3)).max())
+    R = tuple(tuple(_read_constant(entry) for entry in row) for row in rows)
+    columns = transpose(R)
+    gaps = combine(operator.sub, times(columns, R), identity(3))
+    off = max(abs(gap) for row in gaps for gap in row)
     if not off <= _LOOSE:
         raise WrongValueError(f"the columns are not orthonormal: they are off by {off:.2g}", "give more digits")
-    if np.linalg.det(R) < 0:
+    x, y, z = columns
+    if dot(cross(x, y), z) < 0:
         raise WrongValueError("the axes are left-handed", "change the sign of one column")
     return write_turns(R)
 

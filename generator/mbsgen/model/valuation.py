@@ -5,9 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Container, Mapping, Sequence
 
-import numpy as np
 from mpmath import mpf
-from numpy.typing import NDArray
 from sympy import Expr, Symbol
 
 from mbsgen.documents import Finding, Place, abbreviate, lies_under
@@ -20,8 +18,6 @@ MAX_TERMS = 5000  # of an expression, with all that the parameters in it stand f
 LARGEST = 1e150  # products of two numbers do not overflow
 SMALLEST = 1e-150  # of an angle; its sine has a square that does not vanish
 GENERIC = 0.7390851332151607  # for a run-time parameter that is 0 now, and may be anything later
-
-Array = NDArray[np.float64]
 
 
 class Valuation:
@@ -97,9 +93,10 @@ class Valuation:
         """Return whether an expression depends on run-time parameters."""
         return not self._forms.keys().isdisjoint(names(expression))
 
-    def triple(self, place: Place, triple: Triple) -> Array:
+    def triple(self, place: Place, triple: Triple) -> tuple[float, float, float]:
         """Return the values of three expressions."""
-        return np.array([self.number((*place, k), expression) for k, expression in enumerate(triple)])
+        x, y, z = (self.number((*place, k), expression) for k, expression in enumerate(triple))
+        return x, y, z
 
     def _define(self, parameter: Parameter, generic: bool) -> None:
         place = ("parameters", parameter.name)

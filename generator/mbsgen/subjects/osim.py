@@ -26,7 +26,7 @@ from mbsgen.importing.markup import Element
 from mbsgen.importing.osim.frames import GROUND, OFFSET, Frames
 from mbsgen.importing.osim.functions import FUNCTIONS
 from mbsgen.importing.poses import Array
-from mbsgen.model.orientations import turn
+from mbsgen.importing.rotations import turn
 
 Triple = tuple[float, float, float]
 Change = Callable[[Element], Element]

@@ -14,6 +14,7 @@ import numpy as np
 
 from mbsgen.expressions import FLOATS, Expression, Number, Operation, evaluate
 from mbsgen.importing.poses import Array
+from mbsgen.importing.rotations import turn
 from mbsgen.model.model import (
     BASE,
     ORIGIN,
@@ -31,7 +32,6 @@ from mbsgen.model.model import (
     Wrap,
 )
 from mbsgen.model.model import Triple as Position
-from mbsgen.model.orientations import turn
 from mbsgen.subjects.osim import Masses, Triple, scale_moments
 
 WHOLE: Triple = (1.0, 1.0, 1.0)

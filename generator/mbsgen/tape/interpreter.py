@@ -15,7 +15,6 @@ from decimal import Context, Decimal, localcontext
 from functools import lru_cache
 from typing import Any
 
-import numpy as np
 from mpmath import MPContext, mpf
 
 from mbsgen.errors import TapeError
@@ -31,7 +30,16 @@ class Numbers:
     epsilon: Any  # the distance from 1 to the next number
 
 
-FLOATS = Numbers(float, {op: getattr(np, op.value[0]) for op in FUNCTIONS}, 2.0**-52)
+def _by_numpy(name: str) -> Callable[..., Any]:
+    def apply(*operands: Any) -> Any:
+        import numpy as np  # here alone: what generates needs no arrays
+
+        return getattr(np, name)(*operands)
+
+    return apply
+
+
+FLOATS = Numbers(float, {op: _by_numpy(op.value[0]) for op in FUNCTIONS}, 2.0**-52)
 
 _FIFTY = MPContext()
 _FIFTY.dps = 50

@@ -9,8 +9,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-import numpy as np
-
 from mbsgen.tape.types import Op, Tape
 
 _TRIGONOMETRIC = (Op.SIN, Op.COS)
@@ -99,9 +97,8 @@ def _permute(tape: Tape, order: Sequence[int]) -> Tape:
 
 def _count_kept(first: int, operands: Operands, order: Sequence[int]) -> int:
     """Return the sum, over the operations in an order, of the number of values that later operations read."""
-    places, ordered = np.arange(len(order)), np.array(order, dtype=np.int64)
-    read = np.array(operands, dtype=np.int64).reshape(-1, 2)[ordered]
-    last = np.full((2, first + len(operands)), -1)
-    last[0, read[:, 0]], last[1, read[:, 1]] = places, places  # of equal ones the last one counts
-    ends = last.max(axis=0)[first + ordered]
-    return int((ends - places)[ends >= 0].sum())  # each is kept from its own operation
+    last = [-1] * (first + len(operands))  # the place of the last operation that reads a value
+    for place, k in enumerate(order):
+        a, b = operands[k]
+        last[a] = last[b] = place
+    return sum(end - place for place, k in enumerate(order) if (end := last[first + k]) >= 0)

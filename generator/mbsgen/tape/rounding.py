@@ -37,9 +37,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import ceil, log2, pi
+from math import ceil, frexp, log2, pi
 
-import numpy as np
 from mpmath import mpf
 
 from mbsgen.roles import Role
@@ -346,11 +345,13 @@ def _grow(slack: float) -> float:
 def _is_power(value: Scalar) -> bool:
     """Return whether a value is a power of 2 that is known at generation: products by it are exact."""
     literal = value.literal
-    return literal is not None and literal != 0 and bool(abs(np.frexp(literal)[0]) == 0.5)
+    return literal is not None and literal != 0 and bool(abs(frexp(literal)[0]) == 0.5)
 
 
 def _is_single(literal: mpf) -> bool:
     """Return whether a literal is a number of single precision, to all its digits."""
+    import numpy as np  # here alone, for numbers of single precision
+
     return bool(literal == LITERALS.mpf(float(np.float32(float(literal)))))
 
 

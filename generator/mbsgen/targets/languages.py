@@ -26,6 +26,7 @@ from mbsgen.targets.matlab import write_matlab
 from mbsgen.targets.python.module import write_python
 from mbsgen.targets.rust.crate import write_rust
 from mbsgen.targets.unit import Unit
+from mbsgen.targets.wasm.module import write_wasm
 
 
 def _write_nothing(_: Unit) -> Mapping[str, str]:
@@ -33,6 +34,10 @@ def _write_nothing(_: Unit) -> Mapping[str, str]:
 
 
 def _pack_nothing(_manifest: Manifest, _files: Mapping[str, str]) -> Mapping[str, bytes]:
+    return {}
+
+
+def _encode_nothing(_: Unit) -> Mapping[str, bytes]:
     return {}
 
 
@@ -51,6 +56,7 @@ class Target:
     name: str  # of the option --NAME
     help: str  # of that option
     write: Callable[[Unit], Mapping[str, str]] = _write_nothing  # files of the folder, path -> text
+    encode: Callable[[Unit], Mapping[str, bytes]] = _encode_nothing  # binary files of the folder, path -> content
     pack: Callable[[Manifest, Mapping[str, str]], Mapping[str, bytes]] = _pack_nothing  # of the files, name -> content
     add: Callable[[Sequence[Family]], tuple[Family, ...]] = _add_nothing  # functions in C; may raise OptionError
     headers: Callable[[str], tuple[str, ...]] = _list_nothing  # installed beside the model's header, by its prefix
@@ -67,6 +73,11 @@ TARGETS: tuple[Target, ...] = (
     ),
     Target("matlab", "Also write the kernels as functions for Matlab and GNU Octave.", write_matlab),
     Target("rust", "Also write the kernels as a Rust crate, without C and without other crates.", write_rust),
+    Target(
+        "wasm",
+        "Also write a WebAssembly module of the kernels, for browsers, without a compiler.",
+        encode=write_wasm,
+    ),
     Target("julia", "Also write a Julia module that calls the C.", write_julia),
     Target(
         "lanes",

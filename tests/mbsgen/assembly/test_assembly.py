@@ -11,8 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mbsgen.assembly import assemble, describe
-from mbsgen.assembly.assemble import AssemblyError
+from mbsgen.assembly import AssemblyError, assemble, describe
 from mbsgen.assembly.poses import FEWEST, SPREADS, count_starts
 from mbsgen.errors import InputError
 from mbsgen.formulations.catalogue import FUNCTIONS

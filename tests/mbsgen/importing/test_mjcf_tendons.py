@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mbsgen.errors import InputError
-from mbsgen.importing.drafting import Choices, Imported
+from mbsgen.importing.choices import Choices, Imported
 from mbsgen.importing.formats import import_model
 from mbsgen.model.model import Model
 from mbsgen.model.writer import write_model

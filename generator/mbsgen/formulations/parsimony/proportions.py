@@ -9,16 +9,29 @@ any position. For a body without inertia, Ia of its children is taken in one gen
 
 from __future__ import annotations
 
+import math
+import operator
 from collections.abc import Sequence
+from functools import reduce
 
-import numpy as np
-from numpy.typing import NDArray
-
+from mbsgen.algebra.dense import (
+    Dense,
+    Row,
+    combine,
+    divide_both,
+    find_eigen,
+    identity,
+    invert_symmetric,
+    project,
+    skew,
+    stack,
+    times,
+    transpose,
+)
+from mbsgen.algebra.rotations import axis_rotation
 from mbsgen.algebra.vectors import Matrix, Vector
 from mbsgen.formulations.parsimony.segments import Moments, Segment, children, feels_itself
 from mbsgen.tape.builder import Scalar
-
-Array = NDArray[np.float64]
 
 ANGLE = 1.0  # rad: the position of joints beyond a body without inertia
 NEGLIGIBLE = 1e-9  # relative to the scale of an entry; smaller values count as none
@@ -30,32 +43,32 @@ class Proportions:
     def __init__(self, segments: Sequence[Segment]) -> None:
         self._segments = {s.number: s for s in segments}
         self._left: dict[
-            int, Array
+            int, Dense
         ] = {}  # of each body's least inertia, with its joint free, about the parent's origin
-        self._least: dict[int, Array] = {}
+        self._least: dict[int, Dense] = {}
         for segment in reversed(segments):
             beyond = [s.number for s in children(segments, segment.number)]
             self._least[segment.number] = least = self._bound(segment, beyond)
             self._left[segment.number] = _free(segment, least)
 
-    def _bound(self, segment: Segment, beyond: Sequence[int]) -> Array:
+    def _bound(self, segment: Segment, beyond: Sequence[int]) -> Dense:
         """Bound the articulated inertia of a body from below."""
         own = find_spatial(segment.moments)
         if _weakest(own) > NEGLIGIBLE:
             return own
-        return own + sum((self._carry(number, ANGLE) for number in beyond), np.zeros((6, 6)))
+        return reduce(_add, (self._carry(number, ANGLE) for number in beyond), own)
 
-    def _carry(self, number: int, angle: float) -> Array:
+    def _carry(self, number: int, angle: float) -> Dense:
         """Refer the articulated inertia beyond a turned joint to its parent's origin, in the parent's frame."""
         segment = self._segments[number]
-        turn = _numbers(segment.turn) if segment.turn and not segment.floats else np.eye(3)
+        turn = _numbers(segment.turn) if segment.turn and not segment.floats else identity(3)
         if segment.is_revolute:
-            turn = turn @ _rotation(segment.axis, angle)
-        both = np.kron(np.eye(2), turn)
-        lever = np.eye(6)
-        lever[:3, 3:] = -_cross(_vector(segment.d))
-        carried: Array = lever.T @ both @ self._left[number] @ both.T @ lever
-        return carried
+            turn = times(turn, _rotation(segment.axis, angle))
+        none = combine(lambda _: 0.0, turn)
+        both = stack(((turn, none), (none, turn)))
+        lever = stack(((identity(3), _negate(skew(_vector(segment.d)))), (none, identity(3))))
+        carry = times(transpose(lever), both)
+        return times(times(carry, self._left[number]), transpose(carry))
 
     def growth(self, number: int, moved: Moments) -> float:
         """Return the largest ratio of the moments that leave body `number` to the inertia present."""
@@ -64,12 +77,12 @@ class Proportions:
         return min(_ratio(inertia, x) for x in there)
 
 
-def _vector(v: Vector[Scalar]) -> Array:
-    return np.array([_number(x) for x in v])
+def _vector(v: Vector[Scalar]) -> Row:
+    return tuple(_number(x) for x in v)
 
 
-def _numbers(A: Matrix[Scalar]) -> Array:
-    return np.array([[_number(x) for x in row] for row in A.rows])
+def _numbers(A: Matrix[Scalar]) -> Dense:
+    return tuple(tuple(_number(x) for x in row) for row in A.rows)
 
 
 def _number(x: Scalar) -> float:
@@ -77,58 +90,68 @@ def _number(x: Scalar) -> float:
     return x.literal
 
 
-def find_spatial(moments: Moments) -> Array:
+def find_spatial(moments: Moments) -> Dense:
     """Make the 6 x 6 inertia: force and moment for the acceleration of the origin and the angular one."""
-    P, lever = _numbers(moments.P), _cross(_vector(moments.S))
-    J = np.trace(P) * np.eye(3) - P
-    return np.block([[_number(moments.m) * np.eye(3), -lever], [lever, J]])
+    m, lever = _number(moments.m), skew(_vector(moments.S))
+    weights = combine(lambda one: m * one, identity(3))
+    return stack(((weights, _negate(lever)), (lever, turn_moments(_numbers(moments.P)))))
 
 
-def _cross(v: Array) -> Array:
-    return np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
+def turn_moments(P: Dense) -> Dense:
+    """Return the inertia tensor of second moments of mass: tr(P) 1 - P."""
+    trace = sum(P[k][k] for k in range(3))
+    return combine(lambda one, x: trace * one - x, identity(3), P)
 
 
-def _rotation(axis: int, angle: float) -> Array:
+def _add(A: Dense, B: Dense) -> Dense:
+    return combine(operator.add, A, B)
+
+
+def _negate(A: Dense) -> Dense:
+    return combine(operator.neg, A)
+
+
+def _rotation(axis: int, angle: float) -> Dense:
     """Make the rotation about a coordinate axis: columns are the turned axes."""
-    j, k = (axis + 1) % 3, (axis + 2) % 3
-    R = np.eye(3)
-    R[j, j] = R[k, k] = np.cos(angle)
-    R[k, j] = np.sin(angle)
-    R[j, k] = -R[k, j]
-    return R
+    c, s = math.cos(angle), math.sin(angle)
+    return tuple(map(tuple, axis_rotation(axis, s, c, 0.0, 1.0).rows))
 
 
-def _free(segment: Segment, inertia: Array) -> Array:
+def _free(segment: Segment, inertia: Dense) -> Dense:
     """Free a joint: subtract U UT / D."""
     along = segment.axis + (3 if segment.is_revolute else 0)
-    pivot = inertia[along, along]
-    felt = inertia[:, along]
-    return inertia - np.outer(felt, felt) / pivot if pivot > 0 else inertia
+    felt = inertia[along]
+    pivot = felt[along]
+    if not pivot > 0:
+        return inertia
+    return project(inertia, felt, pivot)
 
 
-def _scale(inertia: Array) -> Array:
-    diagonal = np.sqrt(np.abs(np.diag(inertia)))
-    return np.where(diagonal > 0, diagonal, 1.0)
+def _scale(inertia: Dense) -> Row:
+    diagonal = (math.sqrt(abs(row[k])) for k, row in enumerate(inertia))
+    return tuple(x if x > 0 else 1.0 for x in diagonal)
 
 
-def _weakest(inertia: Array) -> float:
+def _weakest(inertia: Dense) -> float:
     """Find the smallest eigenvalue, with the diagonal scaled to 1."""
-    scale = _scale(inertia)
-    return float(np.linalg.eigvalsh(inertia / np.outer(scale, scale)).min())
+    return find_eigen(divide_both(inertia, _scale(inertia)))[0][0]
 
 
-def _ratio(moved: Array, there: Array) -> float:
+def _ratio(moved: Dense, there: Dense) -> float:
     """Find the largest ratio of one inertia to another over all motions, in magnitude."""
-    scale = np.outer(_scale(there), _scale(there))
-    values, vectors = np.linalg.eigh(there / scale)
-    felt = vectors.T @ (moved / scale) @ vectors
-    is_there = values > NEGLIGIBLE
-    rest = felt[~is_there]
-    if np.abs(rest).max(initial=0.0) > NEGLIGIBLE * np.abs(felt).max():
-        return np.inf
-    size = np.sqrt(values[is_there])
-    ratios = np.linalg.eigvalsh(felt[np.ix_(is_there, is_there)] / np.outer(size, size))
-    return float(np.abs(ratios).max(initial=0.0))
+    scale = _scale(there)
+    values, vectors = find_eigen(divide_both(there, scale))
+    felt = times(times(vectors, divide_both(moved, scale)), transpose(vectors))
+    first = sum(value <= NEGLIGIBLE for value in values)  # of the motions that have inertia
+    if _find_largest(felt[:first]) > NEGLIGIBLE * _find_largest(felt):
+        return math.inf
+    size = tuple(math.sqrt(value) for value in values[first:])
+    ratios, _ = find_eigen(divide_both(tuple(row[first:] for row in felt[first:]), size))
+    return max(map(abs, ratios), default=0.0)
+
+
+def _find_largest(A: Dense) -> float:
+    return max((abs(x) for row in A for x in row), default=0.0)
 
 
 def find_least(segments: Sequence[Segment], segment: Segment) -> float:
@@ -149,7 +172,9 @@ def find_least(segments: Sequence[Segment], segment: Segment) -> float:
         return sum(x.literal or 0.0 for x in own)
     inertia = find_spatial(moments)
     mine, other = (slice(3, 6), slice(0, 3)) if segment.is_revolute else (slice(0, 3), slice(3, 6))
-    least = inertia[mine, mine]
+    least = tuple(row[mine] for row in inertia[mine])
     if any(s.is_revolute != segment.is_revolute for s in passed):
-        least = least - inertia[mine, other] @ np.linalg.pinv(inertia[other, other]) @ inertia[other, mine]
-    return max(float(np.linalg.eigvalsh(least)[0]), 0.0)
+        across = tuple(row[other] for row in inertia[mine])
+        beyond = invert_symmetric(tuple(row[other] for row in inertia[other]))
+        least = combine(operator.sub, least, times(times(across, beyond), transpose(across)))
+    return max(find_eigen(least)[0][0], 0.0)

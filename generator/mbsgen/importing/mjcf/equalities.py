@@ -24,8 +24,8 @@ from mbsgen.importing.findings import Findings
 from mbsgen.importing.markup import Element
 from mbsgen.importing.mjcf.inheritance import MAIN, Defaults
 from mbsgen.importing.poses import ORIGIN, Array, Pose, place
+from mbsgen.importing.rotations import turn_quaternion
 from mbsgen.model.model import BASE
-from mbsgen.model.orientations import turn_quaternion
 from mbsgen.model.tree import Cut
 
 T = TypeVar("T")

@@ -33,8 +33,8 @@ from mbsgen.importing.mjcf.mesh_solids import (
     read_triangles,
 )
 from mbsgen.importing.poses import Array, Pose
+from mbsgen.importing.rotations import turn_quaternion
 from mbsgen.importing.solids import Solid
-from mbsgen.model.orientations import turn_quaternion
 
 MAX_NUMBERS = 3_000_000
 ALIKE = 1e-5  # of two extents: MuJoCo's corners have single precision

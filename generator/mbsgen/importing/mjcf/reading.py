@@ -16,18 +16,9 @@ import numpy as np
 
 from mbsgen.documents import abbreviate
 from mbsgen.expressions import Call, Expression, Name, Number, Operation, Power
+from mbsgen.importing.choices import Choices, Imported
 from mbsgen.importing.closing import Spot
-from mbsgen.importing.drafting import (
-    Choices,
-    Draft,
-    Imported,
-    Move,
-    damp,
-    describe_friction,
-    list_moves,
-    make_law,
-    move_freely,
-)
+from mbsgen.importing.drafting import Draft, Move, damp, describe_friction, list_moves, make_law, move_freely
 from mbsgen.importing.findings import Findings
 from mbsgen.importing.markup import Element
 from mbsgen.importing.mjcf.actuators import JOINTS, TERMS, read_actuators, read_polynomial
@@ -51,9 +42,9 @@ from mbsgen.importing.mjcf.schema import review
 from mbsgen.importing.mjcf.settings import read_limits, read_settings
 from mbsgen.importing.mjcf.tendons import Tendons, list_passed_sites
 from mbsgen.importing.poses import ORIGIN, Array, Pose, place
+from mbsgen.importing.rotations import find_turns, turn, turn_quaternion
 from mbsgen.importing.solids import NOTHING, Solid, add
 from mbsgen.model.model import BASE, COORDINATE, RATE, ZERO, Law, Visual
-from mbsgen.model.orientations import find_turns, turn, turn_quaternion
 from mbsgen.model.tree import Motion
 
 DENSITY = 1000.0  # of water, MuJoCo's default [kg/m3]

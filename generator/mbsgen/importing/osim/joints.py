@@ -28,7 +28,7 @@ from mbsgen.importing.findings import Findings
 from mbsgen.importing.markup import Element
 from mbsgen.importing.osim.functions import Sum, find_function, read_function
 from mbsgen.importing.poses import Array, Pose, place
-from mbsgen.model.orientations import turn
+from mbsgen.importing.rotations import turn
 from mbsgen.model.tree import Motion
 
 SLIDE, TURN = Motion.PRISMATIC, Motion.REVOLUTE

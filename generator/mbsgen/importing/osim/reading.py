@@ -23,8 +23,9 @@ import numpy as np
 
 from mbsgen.documents import abbreviate, nearest
 from mbsgen.expressions import Expression, Name, Number, Operation, parse, substitute, write
+from mbsgen.importing.choices import Choices, FileCoordinate, Imported
 from mbsgen.importing.closing import Closure, Curve, Equation, Spot, Term, X
-from mbsgen.importing.drafting import Choices, Draft, FileCoordinate, Imported, Move, list_moves, move_freely
+from mbsgen.importing.drafting import Draft, Move, list_moves, move_freely
 from mbsgen.importing.findings import Findings
 from mbsgen.importing.markup import Element
 from mbsgen.importing.osim.forces import READ, Forces, is_on

@@ -20,8 +20,8 @@ from mbsgen.documents import abbreviate, nearest
 from mbsgen.importing.findings import Findings
 from mbsgen.importing.markup import Element
 from mbsgen.importing.poses import ORIGIN, Array, Pose, Writer, place
+from mbsgen.importing.rotations import turn_quaternion
 from mbsgen.importing.sdf.vocabulary import AXES_BY_FLAG
-from mbsgen.model.orientations import turn_quaternion
 
 WORLD = "world"
 MODEL = "__model__"

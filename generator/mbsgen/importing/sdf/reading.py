@@ -18,11 +18,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mbsgen.documents import abbreviate
+from mbsgen.importing.choices import Choices, Imported
 from mbsgen.importing.closing import Closure, Equation, Spot, Term
 from mbsgen.importing.drafting import (
-    Choices,
     Draft,
-    Imported,
     Move,
     damp,
     describe_friction,

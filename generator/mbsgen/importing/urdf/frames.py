@@ -10,7 +10,7 @@ import numpy as np
 from mbsgen.importing.findings import Findings
 from mbsgen.importing.markup import Element
 from mbsgen.importing.poses import ORIGIN, Array, Pose, Writer, place
-from mbsgen.model.orientations import turn_quaternion
+from mbsgen.importing.rotations import turn_quaternion
 
 DEFAULT_AXIS = (1.0, 0.0, 0.0)
 

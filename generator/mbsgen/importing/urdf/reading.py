@@ -14,11 +14,10 @@ from dataclasses import replace
 import numpy as np
 
 from mbsgen.documents import abbreviate, nearest
+from mbsgen.importing.choices import Choices, Imported
 from mbsgen.importing.drafting import (
     GRAVITY,
-    Choices,
     Draft,
-    Imported,
     Move,
     damp,
     describe_friction,

@@ -10,8 +10,7 @@ from collections.abc import Container, Iterator
 from dataclasses import dataclass
 from decimal import Decimal
 
-import numpy as np
-
+from mbsgen.algebra.dense import Dense, find_eigen, identity
 from mbsgen.documents import Finding, Place, abbreviate
 from mbsgen.expressions import Expression, Negation, Number, write
 from mbsgen.model import tree
@@ -28,7 +27,7 @@ from mbsgen.model.model import BASE, COORDINATE, RATE, ZERO, Body, Fixed, Inerti
 from mbsgen.model.placements import centre_inertia
 from mbsgen.model.topology import check_tree, find_carriers
 from mbsgen.model.tree import Motion
-from mbsgen.model.valuation import LARGEST, Array, Valuation
+from mbsgen.model.valuation import LARGEST, Valuation
 
 MAX_BODIES = 1000
 MAX_VISUALS = 1000  # of a body
@@ -139,15 +138,15 @@ def _check_body(place: Place, body: Body, valuation: Valuation, *, allow_unphysi
         yield Finding((*place, "mass"), f"a mass of {mass:g}", f"give 0, or {LIGHTEST:g} to {LARGEST:g}")
     place = (*place, "inertia")
     given, inertia = (
-        np.array([[valuation.number(place, entry) for entry in row] for row in tensor.rows])
+        tuple(tuple(valuation.number(place, entry) for entry in row) for row in tensor.rows)
         for tensor in (body.inertia, centre_inertia(body))
     )
-    if allow_unphysical or not np.isfinite(inertia).all():
+    if allow_unphysical or not all(math.isfinite(x) for row in inertia for x in row):
         return
-    if mass == 0 and inertia.any() and not valuation.changes(body.mass):
+    if mass == 0 and any(map(any, inertia)) and not valuation.changes(body.mass):
         yield Finding(place, "an inertia without a mass", "give the body a mass too, or set allow_unphysical: true")
     excess = _measure_excess(body.inertia, inertia)
-    if excess.amount > max(INERTIA_TOLERANCE * np.abs(given).max(), excess.rounding):
+    if excess.amount > max(INERTIA_TOLERANCE * _find_largest(given), excess.rounding):
         remedy = "none may be more than the sum of the others; mend them, or set allow_unphysical: true"
         yield Finding(place, f"no body has {excess.describe()}", remedy)
 
@@ -184,14 +183,20 @@ class _Excess:
         return f"the principal moments of inertia {', '.join(shown)}"
 
 
-def _measure_excess(written: Inertia, inertia: Array) -> _Excess:
+def _find_largest(tensor: Dense) -> float:
+    return max(abs(float(x)) for row in tensor for x in row)
+
+
+def _measure_excess(written: Inertia, inertia: Dense) -> _Excess:
     """Compare the moments; to first order, an entry that is off by d changes the excess by d times its weight."""
-    moments, axes = np.linalg.eigh(inertia)
-    a, b, c = map(float, moments)
-    e = axes[:, 2]
-    weights = np.abs(np.eye(3) - 2 * np.outer(e, e))
-    units = np.array([[_measure_rounding(entry) for entry in row] for row in written.rows])
-    return _Excess((a, b, c), c - a - b, float((weights * units).sum()))
+    (a, b, c), (*_, e) = find_eigen(inertia)
+    rows = zip(identity(3), e, written.rows, strict=True)
+    rounding = sum(
+        abs(one - 2 * x * y) * _measure_rounding(entry)
+        for ones, x, row in rows
+        for one, y, entry in zip(ones, e, row, strict=True)
+    )
+    return _Excess((a, b, c), c - a - b, rounding)
 
 
 def _measure_rounding(entry: Expression) -> float:
@@ -211,11 +216,10 @@ def find_doubts(model: Model) -> list[Finding]:
     valuation, findings = Valuation(model.parameters, ()), []
     for i, body in enumerate(() if model.allow_unphysical else model.bodies):
         given, inertia = (
-            np.array([valuation.triple((), row) for row in tensor.rows])
-            for tensor in (body.inertia, centre_inertia(body))
+            tuple(valuation.triple((), row) for row in tensor.rows) for tensor in (body.inertia, centre_inertia(body))
         )
         excess = _measure_excess(body.inertia, inertia)
-        if excess.amount > INERTIA_TOLERANCE * np.abs(given).max():
+        if excess.amount > INERTIA_TOLERANCE * _find_largest(given):
             finding = f"rounding to the digits given has made a possible inertia {excess.describe()}"
             findings.append(Finding(("bodies", i, "inertia"), finding, "give more digits"))
     return findings

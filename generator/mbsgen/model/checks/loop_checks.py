@@ -9,8 +9,7 @@ import math
 from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-
+from mbsgen.algebra.dense import Row, cross
 from mbsgen.documents import Finding, Place, abbreviate, lies_under, nearest, write_path
 from mbsgen.expressions import names, write
 from mbsgen.model.expansion import Step
@@ -19,7 +18,7 @@ from mbsgen.model.model import BASE, UNITS, ZERO, Constraint, Loop, Model, Tripl
 from mbsgen.model.symbols import to_double
 from mbsgen.model.topology import find_carriers
 from mbsgen.model.tree import Cut, coordinate_symbol
-from mbsgen.model.valuation import Array, Valuation
+from mbsgen.model.valuation import Valuation
 
 MAX_EQUATIONS = 500  # loops and constraints
 SHORTEST = 1e-150  # of a rod, whose square does not vanish, and of a pitch
@@ -85,20 +84,26 @@ def _check_axes(place: Place, loop: Loop, valuation: Valuation) -> Iterator[Find
     axes = {"axis": loop.axis} | ({"axis2": loop.axis2} if loop.cut is Cut.UNIVERSAL else {})
     directions = {key: _read_direction((*place, key), axis, valuation) for key, axis in axes.items()}
     for key, direction in directions.items():
-        if not direction.any():
+        if not any(direction):
             finding = f"[{', '.join(map(write, axes[key]))}] has no direction"
             yield Finding((*place, key), finding, "give a nonzero 3-vector, e.g. [0, 1, 0]")
-    if len(directions) == 2 and all(direction.any() for direction in directions.values()):
-        one, other = (direction / np.abs(direction).max() for direction in directions.values())
-        sine = np.linalg.norm(np.cross(one, other)) / (np.linalg.norm(one) * np.linalg.norm(other))
+    if len(directions) == 2 and all(map(any, directions.values())):
+        one, other = (_normalise(direction) for direction in directions.values())
+        sine = math.hypot(*cross(one, other))
         if sine <= PARALLEL:
             remedy = "give axes at an angle, or a loop of type hinge"
             yield Finding((*place, "axis2"), "the axes of a universal joint are parallel", remedy)
 
 
-def _read_direction(place: Place, axis: Triple, valuation: Valuation) -> Array:
+def _normalise(v: Row) -> Row:
+    largest = max(map(abs, v))
+    length = math.hypot(*(x / largest for x in v))
+    return tuple(x / largest / length for x in v)
+
+
+def _read_direction(place: Place, axis: Triple, valuation: Valuation) -> Row:
     """Return the components of an axis; nan where they are unknown."""
-    return np.array([valuation.constant(place, component) for component in axis])
+    return tuple(valuation.constant(place, component) for component in axis)
 
 
 def _check_length(place: Place, loop: Loop, valuation: Valuation) -> Iterator[Finding]:

@@ -11,14 +11,29 @@ multipliers come from the factors of M, so M of the tree must be positive defini
 
 from __future__ import annotations
 
+import math
+import operator
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from mbsgen.algebra.dense import (
+    Dense,
+    Row,
+    add,
+    apply,
+    combine,
+    cross,
+    dot,
+    identity,
+    project,
+    skew,
+    stack,
+    subtract,
+    times,
+    transpose,
+)
 from mbsgen.documents import Finding, Place, abbreviate
 from mbsgen.expressions import Expression
 from mbsgen.model.expansion import Expansion, expand
@@ -34,24 +49,22 @@ DOUBTFUL = 1e-9  # of a pivot: below, doubles do not distinguish it from 0
 INVOLVED = 1e-6  # of the largest acceleration: those below are rounding
 GOLDEN = 0.6180339887498949
 
-Array = NDArray[Any]  # of doubles, or of numbers of 60 digits
-
 
 @dataclass(frozen=True)
 class _Solid:
     """A body of an expanded model at the chosen configuration, in the base's frame."""
 
-    rotation: Array  # of the body's frame
-    origin: Array
-    axis: Array  # of its joint; 0 where it is fixed
+    rotation: Dense  # of the body's frame
+    origin: Row
+    axis: Row  # of its joint; 0 where it is fixed
     mass: Any
-    com: Array
-    inertia: Array  # about com, in the body's frame
+    com: Row
+    inertia: Dense  # about com, in the body's frame
     armature: Any  # of its joint
 
     @property
-    def lever(self) -> Array:
-        return self.com - self.origin
+    def lever(self) -> Row:
+        return subtract(self.com, self.origin)
 
 
 def check_undetermined_joints(model: Model) -> Iterator[Finding]:
@@ -59,9 +72,8 @@ def check_undetermined_joints(model: Model) -> Iterator[Finding]:
     expansion = expand(model)
     bodies = expansion.model.bodies
     mechanism = _place(expansion.model, _Doubles(expansion.model))
-    with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is computed in digits
-        massless = [i for i in mechanism.order if isinstance(bodies[i].joint, Joint) and not mechanism.feels(i)]
-        is_clear = not massless and not mechanism.find_undone(DOUBTFUL)
+    massless = [i for i in mechanism.order if isinstance(bodies[i].joint, Joint) and not mechanism.feels(i)]
+    is_clear = not massless and not mechanism.find_undone(DOUBTFUL)  # what is not finite is computed in digits
     for i in massless:
         yield _report_massless(i, expansion)
     if massless or is_clear:
@@ -109,60 +121,57 @@ class _Mechanism:
         """Compare each body's inertia with its inertia if nothing were on the axis; sums would hide light bodies."""
         carrier, joint = self.solids[i], self.model.bodies[i].joint
         rank = self._ranks[i]
-        mass, com, inertia, rotation = (part[rank : rank + self._sizes[i]] for part in self._rows)
+        carried = (self.solids[k] for k in self.order[rank : rank + self._sizes[i]])
         if carrier.armature:
             return True
         if isinstance(joint, Joint) and joint.motion is Motion.PRISMATIC:
-            return bool(np.any(mass != 0))
-        about = np.einsum("bij,i->bj", rotation, carrier.axis)
-        lever = np.cross(carrier.axis, com - carrier.origin)
-        felt = mass * (lever**2).sum(axis=1) + np.einsum("bi,bij,bj->b", about, inertia, about)
-        scale = mass * ((com**2).sum(axis=1) + carrier.origin @ carrier.origin) + np.abs(inertia).max(axis=(1, 2))
-        return not (np.isfinite(scale).all() and np.all(np.abs(felt) <= TOLERANCE * scale))
+            return any(solid.mass != 0 for solid in carried)
+        return any(_is_felt(solid, carrier) for solid in carried)
 
     def find_undone(self, tolerance: float) -> dict[int, list[int]]:
         """Find the joints whose pivots vanish, relative to M_ii, each with the joints that undo what it does."""
         articulated, composite = ({i: _inertia(self.solids[i]) for i in self.order} for _ in "ab")
-        answers: dict[int, Array] = {}  # the acceleration of a joint for its parent's, to be subtracted
+        answers: dict[int, Row] = {}  # the acceleration of a joint for its parent's, to be subtracted
         undone: dict[int, list[int]] = {}
         for i in reversed(self.order):
             solid, S = self.solids[i], self._direction(i)
             if S is not None:
-                U = articulated[i] @ S
-                pivot = S @ U + solid.armature
-                if not abs(pivot) > tolerance * abs(S @ composite[i] @ S + solid.armature):  # or no number
+                U = apply(articulated[i], S)
+                pivot = dot(S, U) + solid.armature
+                if not abs(pivot) > tolerance * abs(dot(S, apply(composite[i], S)) + solid.armature):  # or no number
                     undone[i] = self._answer(i, S, answers)
                 else:
-                    answers[i] = U / pivot
-                    articulated[i] = articulated[i] - np.outer(U, U) / pivot
+                    answers[i] = tuple(x / pivot for x in U)
+                    articulated[i] = project(articulated[i], U, pivot)
             parent = self.parents[i]
             if parent is not None:
-                shift = _shift(solid.origin - self.solids[parent].origin)
+                d = subtract(solid.origin, self.solids[parent].origin)
                 for inertias in (articulated, composite):
-                    inertias[parent] = inertias[parent] + shift.T @ inertias[i] @ shift
+                    inertias[parent] = combine(operator.add, inertias[parent], _move(inertias[i], d))
         return dict(sorted(undone.items()))
 
-    def _answer(self, i: int, S: Array, answers: Mapping[int, Array]) -> list[int]:
+    def _answer(self, i: int, S: Row, answers: Mapping[int, Row]) -> list[int]:
         """List the joints that body i carries and that answer a motion of its joint, where no force is needed."""
         moving, amounts = {i: S}, {}
         rank = self._ranks[i]
         for k in self.order[rank + 1 : rank + self._sizes[i]]:
             parent = self.parents[k]
             assert parent is not None, "what a body carries has a parent"
-            moving[k] = _shift(self.solids[k].origin - self.solids[parent].origin) @ moving[parent]
+            moving[k] = _carry(moving[parent], subtract(self.solids[k].origin, self.solids[parent].origin))
             own = self._direction(k)
             if own is not None and k in answers:
-                amounts[k] = answers[k] @ moving[k]
-                moving[k] = moving[k] - own * amounts[k]
+                amounts[k] = dot(answers[k], moving[k])
+                moving[k] = tuple(x - y * amounts[k] for x, y in zip(moving[k], own, strict=True))
         largest = max(map(abs, amounts.values()), default=0)
         return [k for k, amount in amounts.items() if abs(amount) > INVOLVED * largest]
 
-    def _direction(self, i: int) -> Array | None:
+    def _direction(self, i: int) -> Row | None:
         """The motion of a joint: angular velocity, and velocity of its origin."""
         joint, axis = self.model.bodies[i].joint, self.solids[i].axis
         if not isinstance(joint, Joint):
             return None
-        return np.concatenate((axis, 0 * axis) if joint.motion is Motion.REVOLUTE else (0 * axis, axis))
+        zero = tuple(0 * x for x in axis)
+        return (*axis, *zero) if joint.motion is Motion.REVOLUTE else (*zero, *axis)
 
     @cached_property
     def _ranks(self) -> dict[int, int]:
@@ -178,33 +187,42 @@ class _Mechanism:
                 sizes[parent] += sizes[i]
         return sizes
 
-    @cached_property
-    def _rows(self) -> tuple[Array, Array, Array, Array]:
-        solids = [self.solids[i] for i in self.order]
-        return (
-            np.array([x.mass for x in solids]),
-            np.array([x.com for x in solids]),
-            np.array([x.inertia for x in solids]),
-            np.array([x.rotation for x in solids]),
-        )
+
+def _is_felt(solid: _Solid, carrier: _Solid) -> bool:
+    """Return whether a body has inertia about the axis of its carrier; true where the numbers are not finite."""
+    about = apply(transpose(solid.rotation), carrier.axis)
+    lever = cross(carrier.axis, subtract(solid.com, carrier.origin))
+    felt = solid.mass * dot(lever, lever) + dot(about, apply(solid.inertia, about))
+    reach = dot(solid.com, solid.com) + dot(carrier.origin, carrier.origin)
+    scale = solid.mass * reach + max(abs(x) for row in solid.inertia for x in row)
+    return not (math.isfinite(scale) and abs(felt) <= TOLERANCE * scale)
 
 
-def _inertia(solid: _Solid) -> Array:
+def _inertia(solid: _Solid) -> Dense:
     """The spatial inertia about the origin of a body, in the base's axes: what velocities are to be multiplied by."""
-    m, c = solid.mass, _cross(solid.lever)
-    about = solid.rotation @ solid.inertia @ solid.rotation.T - m * (c @ c)
-    return np.block([[about, m * c], [-m * c, m * np.eye(3, dtype=int)]])
+    m, c = solid.mass, skew(solid.lever)
+    turned = times(times(solid.rotation, solid.inertia), transpose(solid.rotation))
+    about = combine(lambda x, y: x - m * y, turned, times(c, c))
+    moments = combine(lambda x: m * x, c)
+    return stack(((about, moments), (transpose(moments), combine(lambda x: m * x, identity(3)))))
 
 
-def _shift(d: Array) -> Array:
-    """Take a velocity to a point that is further by d."""
-    one = np.eye(3, dtype=int)
-    return np.block([[one, 0 * one], [-_cross(d), one]])
+def _move(inertia: Dense, d: Row) -> Dense:
+    """Refer a spatial inertia to a point that is nearer by d."""
+    rows = tuple(_lift(row, d) for row in inertia)
+    return transpose(tuple(_lift(column, d) for column in transpose(rows)))
 
 
-def _cross(v: Array) -> Array:
-    x, y, z = v
-    return np.array([[0 * x, -z, y], [z, 0 * x, -x], [-y, x, 0 * x]])
+def _lift(force: Row, d: Row) -> Row:
+    """Refer a moment and a force to a point that is nearer by d."""
+    moment, force = force[:3], force[3:]
+    return (*add(moment, cross(d, force)), *force)
+
+
+def _carry(velocity: Row, d: Row) -> Row:
+    """Take an angular velocity and a velocity to a point that is further by d."""
+    angular, velocity = velocity[:3], velocity[3:]
+    return (*angular, *subtract(velocity, cross(d, angular)))
 
 
 # --- numbers ---------------------------------------------------------------------------------------------------------
@@ -220,13 +238,13 @@ class _Doubles:
         return self._valuation.number(place, expression)
 
     def sine_cosine(self, angle: Any) -> tuple[Any, Any]:
-        return np.sin(angle), np.cos(angle)
+        return math.sin(angle), math.cos(angle)
 
     def root(self, number: Any) -> Any:
-        return np.sqrt(number)
+        return math.sqrt(number)
 
-    def triple(self, place: Place, triple: Triple) -> Array:
-        return np.array([self.number((*place, k), component) for k, component in enumerate(triple)])
+    def triple(self, place: Place, triple: Triple) -> Row:
+        return tuple(self.number((*place, k), component) for k, component in enumerate(triple))
 
 
 class _Digits(_Doubles):
@@ -242,6 +260,9 @@ class _Digits(_Doubles):
         return DIGITS.sqrt(number)
 
 
+_ORIGIN: Row = (0, 0, 0)
+
+
 def _place(model: Model, numbers: _Doubles) -> _Mechanism:
     """Place the bodies of an expanded model, every joint somewhere else."""
     parents, order = index_parents(model), walk_bodies(model)
@@ -250,42 +271,43 @@ def _place(model: Model, numbers: _Doubles) -> _Mechanism:
         body, place, parent = model.bodies[i], ("bodies", i), parents[i]
         joint = body.joint
         assert not isinstance(joint, tuple), "an expanded model has no sequences"
-        rotation, origin = np.eye(3, dtype=int), np.zeros(3, dtype=int)
+        rotation, origin = identity(3), _ORIGIN
         if parent is not None:
             rotation, origin = solids[parent].rotation, solids[parent].origin
-        origin = origin + rotation @ numbers.triple(place, joint.placement.position)
-        rotation = rotation @ _turn_placement(joint.placement, numbers)
-        turned, slid, axis = rotation, origin, np.zeros(3, dtype=int)
+        origin = add(origin, apply(rotation, numbers.triple(place, joint.placement.position)))
+        rotation = times(rotation, _turn_placement(joint.placement, numbers))
+        turned, slid, axis = rotation, origin, _ORIGIN
         if not isinstance(joint, Fixed):
             axis = numbers.triple(place, joint.axis)
-            axis = axis / max(abs(component) for component in axis)
-            axis = axis / numbers.root(axis @ axis)
+            largest = max(abs(component) for component in axis)
+            axis = tuple(component / largest for component in axis)
+            length = numbers.root(dot(axis, axis))
+            axis = tuple(component / length for component in axis)
             q = 0.5 + (rank * GOLDEN) % 1  # radians or metres, no two alike
             if joint.motion is Motion.REVOLUTE:
-                turned = rotation @ _turn(axis, q, numbers)
+                turned = times(rotation, _turn(axis, q, numbers))
             else:
-                slid = origin + rotation @ axis * q
+                slid = add(origin, (x * q for x in apply(rotation, axis)))
         solids[i] = _Solid(
             rotation=turned,
             origin=slid,
-            axis=rotation @ axis,
+            axis=apply(rotation, axis),
             mass=numbers.number(place, body.mass),
-            com=slid + turned @ numbers.triple(place, body.com),
-            inertia=np.array([numbers.triple(place, row) for row in centre_inertia(body).rows]),
+            com=add(slid, apply(turned, numbers.triple(place, body.com))),
+            inertia=tuple(numbers.triple(place, row) for row in centre_inertia(body).rows),
             armature=0.0 if isinstance(joint, Fixed) else numbers.number(place, joint.armature),
         )
     return _Mechanism(model, parents, order, solids)
 
 
-def _turn_placement(placement: Placement, numbers: _Doubles) -> Array:
-    rotation: Array = np.eye(3, dtype=int)
+def _turn_placement(placement: Placement, numbers: _Doubles) -> Dense:
+    rotation = identity(3)
     for step in placement.orientation:
-        rotation = rotation @ _turn(np.eye(3, dtype=int)[step.axis], numbers.number((), step.angle), numbers)
+        rotation = times(rotation, _turn(identity(3)[step.axis], numbers.number((), step.angle), numbers))
     return rotation
 
 
-def _turn(axis: Array, angle: Any, numbers: _Doubles) -> Array:
+def _turn(axis: Row, angle: Any, numbers: _Doubles) -> Dense:
     """Rotate about a unit vector (Rodrigues)."""
-    cross, (sine, cosine) = _cross(axis), numbers.sine_cosine(angle)
-    turned: Array = np.eye(3, dtype=int) + sine * cross + (1 - cosine) * (cross @ cross)
-    return turned
+    first, (sine, cosine) = skew(axis), numbers.sine_cosine(angle)
+    return combine(lambda one, x, y: one + sine * x + (1 - cosine) * y, identity(3), first, times(first, first))

@@ -7,12 +7,13 @@ is normal x e1, both of length 1.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from typing import ClassVar, Literal
 
-import numpy as np
 from pydantic import Field
 
+from mbsgen.algebra.dense import Row, cross, dot, identity
 from mbsgen.documents import Finding, Place, abbreviate
 from mbsgen.expressions import FLOATS, ExpressionError, Number, evaluate, names
 from mbsgen.model.joints.compound import CompoundSection, is_alike, slide, turn
@@ -75,13 +76,19 @@ def _list_joints(plane: str | Triple) -> tuple[Joint, ...]:
 def _span(normal: Triple) -> Iterator[Triple]:
     """Find two directions across a normal; any two where it has no value or no direction, which is a fault."""
     try:
-        n = np.array([evaluate(component, {}, FLOATS) for component in normal])
+        n: Row = tuple(evaluate(component, {}, FLOATS) for component in normal)
     except ExpressionError:
-        n = np.zeros(3)
-    n = n if n.any() else np.array([0.0, 0.0, 1.0])
-    first = np.eye(3)[int(np.argmin(np.abs(n)))]
-    first = first - (first @ n) / (n @ n) * n
-    first /= np.linalg.norm(first)
-    for direction in (first, np.cross(n / np.linalg.norm(n), first)):
+        n = (0.0, 0.0, 0.0)
+    n = n if any(n) else (0.0, 0.0, 1.0)
+    sizes = [abs(x) for x in n]
+    nearest = identity(3)[sizes.index(min(sizes))]
+    part = dot(nearest, n) / dot(n, n)
+    first = _normalise(tuple(x - part * y for x, y in zip(nearest, n, strict=True)))
+    for direction in (first, cross(_normalise(n), first)):
         x, y, z = (Number(float(x) or 0.0) for x in direction)
         yield x, y, z
+
+
+def _normalise(v: Row) -> Row:
+    length = math.sqrt(dot(v, v))
+    return tuple(x / length for x in v)

@@ -1,0 +1,1 @@
+"""WebAssembly: one module a model, written from the tapes without a compiler."""
