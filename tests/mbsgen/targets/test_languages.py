@@ -69,6 +69,6 @@ def test_a_new_language_is_a_printer_and_an_entry(tmp_path: Path, monkeypatch: p
 def test_an_unknown_target_is_refused() -> None:
     with pytest.raises(OptionError, match="there is no target 'pyhton'; is python meant"):
         make(PENDULUM, Options(targets=("pyhton",)))
-    known = "python, cpp, matlab, rust, julia, lanes, cuda, fmu, bounds, double-double, acados, acados-untimed"
+    known = "python, cpp, matlab, rust, wasm, julia, lanes, cuda, fmu, bounds, double-double, acados, acados-untimed"
     with pytest.raises(OptionError, match=f"there is no target 'x'; there are {known}"):
         make(PENDULUM, Options(targets=("x",)))

