@@ -39,7 +39,7 @@ class Call:
 
 @dataclass(frozen=True)
 class Answer:
-    """What a call returns, and the numbers of its results."""
+    """The status of a call, and the numbers of its results."""
 
     status: int
     results: list[list[float] | None]

@@ -1,6 +1,6 @@
 """The functions that WebAssembly lacks: sine and cosine written out, all others from JavaScript's Math.
 
-Sine and cosine compute as csrc/mbs_sincos.h, operation by operation, so their bits are those of the generated C without
+Sine and cosine compute as csrc/mbs_sincos.h, operation by operation, with the bits of the generated C without
 fused multiply-add. Beyond LIMIT, Math.sin and Math.cos are called, as the C calls <math.h>.
 """
 

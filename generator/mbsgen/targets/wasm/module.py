@@ -59,7 +59,7 @@ def write_wasm(unit: Unit) -> dict[str, bytes]:
 def write_module(found: Iterable[Face]) -> bytes:
     """Write a module that exports functions under their names in C; the same functions give the same bytes.
 
-    Functions without a straight-line program are left out, and those with more values than engines admit.
+    Functions without a straight-line program are left out, and functions of more values than engines admit.
     """
     kernels = [(face, face.tape) for face in found if isinstance(face.tape, Tape)]
     used = {op for _, tape in kernels for op, _, _ in tape.operations}
