@@ -161,7 +161,7 @@ static pivot search(state *s, double threshold, double zero)
             prefer(&best, c, -1, top > 0.0 ? x / top : HUGE_VAL);
         if (best.ratio < GOOD && of_c.row >= 0 && of_c.among > zero)
             consider_pair(s, c, &of_c, zero, &best);
-        if (best.ratio >= (looks < LOOKS ? GOOD : threshold))
+        if (best.ratio >= threshold && (best.ratio >= GOOD || looks >= LOOKS))
             break;
     }
     s->next = c + 1;

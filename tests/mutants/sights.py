@@ -70,15 +70,20 @@ def choose(file: str, line: int) -> tuple[str, ...]:
     """Return the tests that should see a change of a line, the shortest first; none where no test executes it.
 
     A line of no function, such as a table of numbers, has tests of all functions of its file, after the tests that are
-    named after it. The laws of a C file come first, and the solver's sanitizers last.
+    named after it. The laws of a C file, or of its folder, come first, and the solver's sanitizers last. A function that
+    was never watched has the tests that are named after its folder.
     """
     stem = Path(file).stem.removeprefix("mbs_")
-    laws = tuple(f"{LAWS}[{name}]" for name in list_laws(stem)) if file.endswith(".c") else ()
+    folder = Path(file).parent.name
+    stems = dict.fromkeys((stem, folder)) if file.endswith(".c") else ()
+    laws = tuple(f"{LAWS}[{name}]" for each in stems for name in list_laws(each))
     last = (SANITIZERS,) if file.startswith("csrc/stages/") else ()
     text = (ROOT / file).read_text("utf-8").splitlines()[line - 1].strip()
     name = next((name for name, begin, end in list_functions(ROOT / file) if begin <= line <= end), "")
     sight = _read().get(f"{file}::{name}")
     found = sight.tests if sight and text not in sight.missed else ()
+    if name and not sight:
+        found = tuple(sorted(path.relative_to(ROOT).as_posix() for path in ROOT.glob(f"tests/csrc/test_{folder}.py")))
     if not name:
         found = (*sorted(path.relative_to(ROOT).as_posix() for path in ROOT.glob(f"tests/*/**/test_{stem}.py")), *found)
     return (*laws, *(test for test in found if test not in laws + last), *last)

@@ -26,9 +26,8 @@ static int say(const char *format, ...)
 /* What is wrong: a kernel, its result and nonzero, its call (-1: all), and by how much. */
 static struct {
     const char *kernel;
-    int result, entry, call, status;
-    double error, steep, missed;
-    int calls;
+    int result, entry, call, status, calls;
+    double error, steep, missed, unit; /* the unit of frames and sensors */
 } fault;
 
 static int end(const char *kernel, double **res)
@@ -56,7 +55,7 @@ static int end(const char *kernel, double **res)
 
 static const casadi_int two[] = {2, 1, 1}, one[] = {1, 1, 1}, three[] = {3, 1, 1}, square[] = {2, 2, 0, 2, 4, 0, 1, 0, 1};
 static const casadi_int diagonal[] = {2, 2, 0, 1, 2, 0, 1}, corner[] = {2, 2, 0, 0, 1, 0}, row[] = {1, 2, 1};
-static const casadi_int second[] = {1, 2, 0, 0, 1, 0}, last[] = {2, 1, 0, 1, 1}, no_row[] = {2, 1, 0, 0}, nothing[] = {1, 1, 0, 0};
+static const casadi_int second[] = {1, 2, 0, 0, 1, 0}, last[] = {2, 1, 0, 1, 1}, no_rows[] = {2, 3, 0, 0, 0, 0}, none[] = {3, 1, 0, 0}, nothing[] = {1, 3, 0, 0, 0, 0};
 
 static double mass(const double *q, int i, int j)
 {
@@ -126,7 +125,7 @@ FACE(other, 3, 1)
 KERNEL(frames)
 {
     (void)iw, (void)w, (void)mem;
-    res[0][0] = 3, res[0][1] = cos(arg[0][0]), res[0][2] = arg[0][1] + arg[1][0];
+    res[0][0] = 3, res[0][1] = fault.unit * cos(arg[0][0]), res[0][2] = fault.unit * (arg[0][1] + arg[1][0]);
     return end("frames", res);
 }
 static const char *const frames_names[] = {"q", "p"};
@@ -136,7 +135,7 @@ FACE(frames, 2, 1)
 KERNEL(sensors)
 {
     (void)iw, (void)w, (void)mem;
-    res[0][0] = cos(arg[0][0]), res[0][1] = arg[0][1] + arg[1][0];
+    res[0][0] = fault.unit * cos(arg[0][0]), res[0][1] = fault.unit * (arg[0][1] + arg[1][0]);
     return end("sensors", res);
 }
 static const casadi_int *const sensors_out[] = {two};
@@ -147,7 +146,7 @@ FACE(sensors, 2, 1)
 KERNEL(twin)
 {
     (void)iw, (void)w, (void)mem;
-    res[0][0] = cos(arg[0][0]), res[0][1] = arg[0][1] + arg[1][0];
+    res[0][0] = fault.unit * cos(arg[0][0]), res[0][1] = fault.unit * (arg[0][1] + arg[1][0]);
     return end("twin", res);
 }
 #define twin_names frames_names
@@ -166,7 +165,7 @@ KERNEL(f)
     return end("f", res);
 }
 static const char *const f_names[] = {"q", "qd", "theta"};
-static const casadi_int *const f_in[] = {two, two, one}, *const f_out[] = {two, one};
+static const casadi_int *const f_in[] = {two, two, three}, *const f_out[] = {two, one};
 FACE(f, 3, 2)
 
 KERNEL(jac)
@@ -177,7 +176,7 @@ KERNEL(jac)
     res[3][0] = qd[1] + fault.steep * (1 - t * t), res[3][1] = -1, res[4][0] = q[0];
     return end("jac", res);
 }
-static const casadi_int *const jac_out[] = {diagonal, corner, no_row, row, second, nothing};
+static const casadi_int *const jac_out[] = {diagonal, corner, no_rows, row, second, nothing};
 #define jac_names f_names
 #define jac_in f_in
 FACE(jac, 3, 6)
@@ -191,7 +190,7 @@ KERNEL(adj)
     return end("adj", res);
 }
 static const char *const adj_names[] = {"q", "qd", "theta", "out_r", "out_e", "adj_r", "adj_e"};
-static const casadi_int *const adj_in[] = {two, two, one, two, one, two, one}, *const adj_out[] = {two, last, nothing};
+static const casadi_int *const adj_in[] = {two, two, three, two, one, two, one}, *const adj_out[] = {two, last, none};
 FACE(adj, 7, 3)
 
 /* The comparisons: which kernel may be wrong, where, and by how much it may be. */
@@ -236,6 +235,7 @@ static int compare(int which)
 static void anew(void)
 {
     memset(&fault, 0, sizeof fault);
+    fault.unit = 1;
 }
 
 /* Numbers of the first state, as the 50-digit evaluation has them. */
@@ -279,6 +279,13 @@ static void agreeing(void)
     anew();
     fault.kernel = "frames", fault.call = -1, fault.error = 1; /* of its first number */
     LAW("the tail alone is compared", compare(3) == 0);
+    for (k = 2; k < 4; ++k) {
+        anew();
+        fault.unit = 1e-9, fault.kernel = list[k].kernel, fault.entry = k - 2, fault.call = -1, fault.error = 1e-24;
+        LAW("small numbers are compared by their size", compare(k) == 0);
+        fault.entry = 1, fault.error = 1e-18;
+        LAW("and none is too small", compare(k) == 1);
+    }
 }
 
 static void jacobians(void)
@@ -328,6 +335,27 @@ static void drawing(void)
     mbs_check_p = mbs_check_h = 0;
 }
 
+static const char *name_unit(casadi_int i)
+{
+    return i ? "unit" : "q";
+}
+
+/* Inputs are found by their names; roundings count in double precision. */
+static void names(void)
+{
+    const double wrong[3] = {3, 7, 7};
+    mbs_face face = frames_face;
+    call c = open_call(&impl_face);
+    LAW("an input has its name", find_input(c, "q") == c.in[0] && find_input(c, "u") == c.in[3] && find_input(c, "x") == 0);
+    c.in[0][1] = c.in[1][1] = 5;
+    clear_input(c, "q"), clear_input(c, "x");
+    LAW("and is cleared by it", c.in[0][1] == 0 && c.in[1][1] == 5);
+    close_call(c);
+    anew();
+    face.name_in = name_unit, said[0] = 0;
+    LAW("bounds of roundings are compared", mbs_check_results(&face, wrong) == 1 && !strncmp(said, "FAULT", 5));
+}
+
 static void patterns(void)
 {
     static const double M[] = {1, 2, 3, 4}, D[] = {5, 6};
@@ -343,8 +371,8 @@ static void patterns(void)
 
 int main(void)
 {
-    static const double theta[1] = {0.75};
+    static const double theta[3] = {0.75, 9, 9};
     mbs_check_theta = theta;
-    refer(), agreeing(), jacobians(), drawing(), patterns();
+    refer(), agreeing(), jacobians(), drawing(), names(), patterns();
     return broken > 0;
 }
