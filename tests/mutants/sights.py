@@ -70,8 +70,8 @@ def choose(file: str, line: int) -> tuple[str, ...]:
     """Return the tests that should see a change of a line, the shortest first; none where no test executes it.
 
     A line of no function, such as a table of numbers, has tests of all functions of its file, after the tests that are
-    named after it. The laws of a C file, or of its folder, come first, and the solver's sanitizers last. A function that
-    was never watched has the tests that are named after its folder.
+    named after it. The laws of a C file, or of its folder, come first, and the solver's sanitizers last. A function
+    that was never watched has the tests that are named after its folder.
     """
     stem = Path(file).stem.removeprefix("mbs_")
     folder = Path(file).parent.name

@@ -276,4 +276,51 @@ static inline void let_hold(void)
         }
 }
 
+/* Numbers at random, inside the bounds. */
+static inline void scatter(mbs_stages *s, mbs_stages_phase *p)
+{
+    int i;
+    for (i = 0; i < p->size; ++i) {
+        const int below = p->lower[i] > -1e19, above = p->upper[i] < 1e19;
+        const real low = below ? p->lower[i] : above ? p->upper[i] - 2 : -1, high = above ? p->upper[i] : low + 2;
+        p->x[i] = s->fixed[i] ? p->lower[i] : low + (high - low) * (pick() + (real)1.2) / (real)2.4;
+        p->zl[i] = !s->fixed[i] && below ? pick() + (real)1.5 : 0;
+        p->zu[i] = !s->fixed[i] && above ? pick() + (real)1.5 : 0;
+    }
+    for (i = 0; i < ROWS; ++i)
+        p->y[i] = pick();
+    p->mu = (real)0.25;
+}
+
+/* An iterate at random, of the problem or of its restoration, with derivatives and rows. */
+static inline mbs_stages_phase *open_iterate(real curvature, int inner, int elastic)
+{
+    mbs_stages_phase *p;
+    int i;
+    open_drawn(curvature, inner);
+    drawn->options = mbs_stages_default_options();
+    drawn->options.scaled = 0, drawn->options.kappa_d = (real)0.01;
+    LAW("a problem at random can begin", mbs_stages_start(drawn) == MBS_STAGES_RUNNING);
+    p = elastic ? &drawn->least : &drawn->main;
+    if (elastic) {
+        memcpy(p->lower, drawn->main.lower, (W + S) * sizeof *p->lower);
+        memcpy(p->upper, drawn->main.upper, (W + S) * sizeof *p->upper);
+        for (i = W + S; i < ALL; ++i) {
+            drawn->fixed[i] = (char)(inner && (i - W - S) % ROWS == 0); /* inner rows: the first of each stage */
+            p->lower[i] = 0, p->upper[i] = 2e19;
+        }
+        for (i = 0; i < 2 && inner; ++i)
+            drawn->fixed[W + S + count_rows(0) + i * ROWS] = drawn->fixed[W + S + count_rows(0) + count_rows(1) + i * ROWS] = 1;
+        for (i = 0; i < W; ++i)
+            drawn->reference[i] = pick(), drawn->weight[i] = (real)1.5 + pick();
+        drawn->weight_factor = (real)0.75, drawn->options.resto_penalty_parameter = 3;
+        mbs_stages_begin(drawn, p);
+    }
+    scatter(drawn, p);
+    LAW("its derivatives are there", !mbs_stages_phase_derivatives(drawn, p) && !mbs_stages_phase_hessian(drawn, p));
+    mbs_stages_find_lagrangian(drawn, p);
+    LAW("its rows, too", !mbs_stages_phase_values(drawn, p, p->x, &p->cost, p->c));
+    return p;
+}
+
 #endif

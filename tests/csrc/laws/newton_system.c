@@ -110,52 +110,6 @@ static real products_left(const mbs_stages *s, const mbs_stages_phase *p)
     return most;
 }
 
-/* Numbers at random, inside the bounds. */
-static void scatter(mbs_stages *s, mbs_stages_phase *p)
-{
-    int i;
-    for (i = 0; i < p->size; ++i) {
-        const int below = p->lower[i] > -1e19, above = p->upper[i] < 1e19;
-        const real low = below ? p->lower[i] : above ? p->upper[i] - 2 : -1, high = above ? p->upper[i] : low + 2;
-        p->x[i] = s->fixed[i] ? p->lower[i] : low + (high - low) * (pick() + (real)1.2) / (real)2.4;
-        p->zl[i] = !s->fixed[i] && below ? pick() + (real)1.5 : 0;
-        p->zu[i] = !s->fixed[i] && above ? pick() + (real)1.5 : 0;
-    }
-    for (i = 0; i < ROWS; ++i)
-        p->y[i] = pick();
-    p->mu = (real)0.25;
-}
-
-static mbs_stages_phase *prepare(real curvature, int inner, int elastic)
-{
-    mbs_stages_phase *p;
-    int i;
-    open_drawn(curvature, inner);
-    drawn->options = mbs_stages_default_options();
-    drawn->options.scaled = 0, drawn->options.kappa_d = (real)0.01;
-    LAW("a problem at random can begin", mbs_stages_start(drawn) == MBS_STAGES_RUNNING);
-    p = elastic ? &drawn->least : &drawn->main;
-    if (elastic) {
-        memcpy(p->lower, drawn->main.lower, (W + S) * sizeof *p->lower);
-        memcpy(p->upper, drawn->main.upper, (W + S) * sizeof *p->upper);
-        for (i = W + S; i < ALL; ++i) {
-            drawn->fixed[i] = (char)(inner && (i - W - S) % ROWS == 0); /* inner rows: the first of each stage */
-            p->lower[i] = 0, p->upper[i] = 2e19;
-        }
-        for (i = 0; i < 2 && inner; ++i)
-            drawn->fixed[W + S + count_rows(0) + i * ROWS] = drawn->fixed[W + S + count_rows(0) + count_rows(1) + i * ROWS] = 1;
-        for (i = 0; i < W; ++i)
-            drawn->reference[i] = pick(), drawn->weight[i] = (real)1.5 + pick();
-        drawn->weight_factor = (real)0.75, drawn->options.resto_penalty_parameter = 3;
-        mbs_stages_begin(drawn, p);
-    }
-    scatter(drawn, p);
-    LAW("its derivatives are there", !mbs_stages_phase_derivatives(drawn, p) && !mbs_stages_phase_hessian(drawn, p));
-    mbs_stages_find_lagrangian(drawn, p);
-    LAW("its rows, too", !mbs_stages_phase_values(drawn, p, p->x, &p->cost, p->c));
-    return p;
-}
-
 static void step(mbs_stages_phase *p)
 {
     LAW("the conditions are factorised", mbs_stages_newton_factorise(drawn, p) == 0);
@@ -167,7 +121,7 @@ static void steps(int inner, int elastic)
 {
     int turn;
     for (turn = 0; turn < 3; ++turn) {
-        mbs_stages_phase *p = prepare(4, inner, elastic);
+        mbs_stages_phase *p = open_iterate(4, inner, elastic);
         step(p);
         LAW("a convex problem gets no curvature", p->added == 0 && curvature_at(drawn, 0) == 0);
         LAW("the step solves the conditions of the variables", slopes_left(drawn, p, 0) < 1e-9);
@@ -182,7 +136,7 @@ static void steps(int inner, int elastic)
 /* A cost that is not convex gets curvature: in all stages, or from the one on that lacks it. */
 static void curvatures(int by_stage, int inner, int elastic)
 {
-    mbs_stages_phase *p = prepare(by_stage ? 4 : -12, inner, elastic);
+    mbs_stages_phase *p = open_iterate(by_stage ? 4 : -12, inner, elastic);
     int i;
     for (i = 0; i < MOST && by_stage; ++i)
         bent[0][0][i][i] = 400, bent[1][0][i][i] = -40;
@@ -208,7 +162,7 @@ static void curvatures(int by_stage, int inner, int elastic)
 /* First multipliers: the derivatives that they leave, of all numbers that are not fixed, have no part along the rows. */
 static void multipliers(int inner)
 {
-    mbs_stages_phase *p = prepare(4, inner, 0);
+    mbs_stages_phase *p = open_iterate(4, inner, 0);
     real left[W + S];
     int i, row;
     mbs_stages_estimate_multipliers(drawn, p);
