@@ -71,7 +71,7 @@ static void gather(sparse *s)
     s->start[s->n] = at;
 }
 
-/* [H JT; J 0] at random: each row of J has a large entry of its own variable. */
+/* [H JT; J 0] at random: each row of J has a large entry of another variable. */
 static void fill(sparse *s, int variables, int multipliers, double density, double kept)
 {
     const int n = variables + multipliers;

@@ -11,6 +11,7 @@ static struct {
     int tries;
     int is_plain; /* whether all variables count alike when the matrix is factorised */
     real unit;    /* a step's multiplier */
+    int minded;   /* how often growth was looked at */
 } given;
 
 int mbs_stages_factorise(mbs_stages_recursion *r, int careful)
@@ -25,6 +26,7 @@ int mbs_stages_factorise(mbs_stages_recursion *r, int careful)
 int mbs_stages_mind_growth(mbs_stages_recursion *r, int stage)
 {
     (void)r, (void)stage;
+    ++given.minded;
     return 0;
 }
 
@@ -166,6 +168,30 @@ static void giving(void)
     }
 }
 
+/* Refinements that are many, or do not end, show a loss of digits. */
+static void losing(void)
+{
+    const real once[] = {1, 0}, twice[] = {1, 0.4, 0}, never[] = {1, 1, 1, 1, 1, 1, 1, 1};
+    const real *const errors[] = {once, twice, never};
+    mbs_stages *s = &solver;
+    real zeros[1] = {0};
+    int i;
+    for (i = 0; i < 3; ++i) {
+        anew(s);
+        phase.elastic = 1;
+        given.errors = errors[i], given.minded = 0;
+        LAW("a solution tells its refinements", solve_well(s, &phase, zeros) == (i < 2 ? i + 1 : -1));
+        LAW("two of them let growth be looked at", given.minded == (i > 0));
+        LAW("digits are lost where it does not end", s->recursion.lost == (i == 2));
+    }
+    anew(s);
+    stages[0].d = stages[0].g = stages[1].e = stages[1].d = stages[1].g = 1, given.errors = twice;
+    LAW("hard rows give later, after many refinements", solve_well(s, &phase, zeros) == 2 && s->softening == MBS_STAGES_SOFTENED);
+    anew(s);
+    stages[0].d = stages[0].g = stages[1].e = stages[1].d = stages[1].g = 1, given.errors = once;
+    LAW("and not after few", solve_well(s, &phase, zeros) == 1 && s->softening == MBS_STAGES_HARD);
+}
+
 static void choosing(void)
 {
     const real good[] = {1, 1, 0, 0}, bad[] = {1, 1, 1, 1, 1, 1, 1, 1};
@@ -239,10 +265,12 @@ static void curving(void)
 
 static void estimating(void)
 {
-    const real good[] = {0.1 * MBS_STAGES_REFINED};
+    const real good[] = {0.1 * MBS_STAGES_REFINED}, soft[] = {1, 1, 0}, refined[] = {1, 1, 1, 0}, bad[] = {1, 1, 1, 1};
+    const real *const softly[] = {soft, refined, bad};
     mbs_stages *s = &solver;
     mbs_stages_phase *p = &phase;
     mbs_stages_problem problem;
+    int i;
     real sigma[2] = {9, 9}, slope[2], trial_c[1] = {9}, y[1] = {9};
     char fixed[2] = {0, 1}, softened[1] = {1};
     memset(&problem, 0, sizeof problem);
@@ -258,6 +286,15 @@ static void estimating(void)
     given.sweeps = 0, given.unit = 1001;
     mbs_stages_estimate_multipliers(s, p);
     LAW("larger ones than 1000 are none", y[0] == 0);
+    for (i = 0; i < 3; ++i) {
+        anew(s);
+        memset(stages, 0, sizeof stages), stages[0].d = stages[0].g = stages[1].e = stages[1].d = stages[1].g = 1;
+        s->problem = &problem, s->variables = 2, s->fixed = fixed, s->softened = softened, given.most = 0.1;
+        s->recursion.diagonal = room[9], p->size = 2, p->sigma = sigma, p->slope = slope, p->trial_c = trial_c, p->y = y;
+        given.errors = softly[i], y[0] = 9;
+        mbs_stages_estimate_multipliers(s, p);
+        LAW("rows without digits give", s->softening == (i < 2 ? MBS_STAGES_SOFTENED : MBS_STAGES_HARD) && y[0] > 9);
+    }
 }
 
 int main(void)
@@ -268,6 +305,7 @@ int main(void)
     softening();
     hardening();
     giving();
+    losing();
     choosing();
     stepping();
     return broken > 0;

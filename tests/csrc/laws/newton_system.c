@@ -159,6 +159,32 @@ static void curvatures(int by_stage, int inner, int elastic)
     LAW("on demand in all variables", slopes_left(drawn, p, 1) < 1e-7 && rows_left(drawn, p) < 1e-9);
 }
 
+/* Residuals that refinement goes by, and rows that hardly give and are taken as exact. */
+static void refinements(int inner)
+{
+    mbs_stages_phase *p = open_iterate(4, inner, 0);
+    int i;
+    step(p);
+    for (i = 0; i < W; ++i)
+        drawn->residual_w[i] = 9;
+    for (i = 0; i < ROWS; ++i)
+        drawn->residual_c[i] = 9;
+    find_residuals(drawn, 1, 2, 0);
+    LAW("residuals are found by stages", drawn->residual_w[0] == 9 && drawn->residual_c[ROWS - 1] == 9);
+    LAW("of the step", mbs_stages_largest(4, drawn->residual_w + 4) < 1e-9 && mbs_stages_largest(5, drawn->residual_c + 5) < 1e-9);
+    find_residuals(drawn, 0, STAGES, 0);
+    LAW("all of them", mbs_stages_largest(W, drawn->residual_w) < 1e-9 && mbs_stages_largest(ROWS, drawn->residual_c) < 1e-9);
+    drawn->dw[5] += 1, drawn->dy[5] += 1;
+    find_residuals(drawn, 0, STAGES, 0);
+    LAW("of another one they are not 0", mbs_stages_largest(W, drawn->residual_w) > 1e-2);
+    p = open_iterate(4, inner, 0);
+    p->zl[W + 3] = (real)1e12, drawn->exact = 1; /* a slack near its bound */
+    mbs_stages_find_lagrangian(drawn, p);
+    step(p);
+    LAW("exact rows give what they give", rows_left(drawn, p) < 1e-7 && slopes_left(drawn, p, 0) < 1e-3);
+    LAW("they were exact", drawn->recursion.compliance[8] == 0 || drawn->recursion.compliance[9] == 0);
+}
+
 /* First multipliers: the derivatives that they leave, of all numbers that are not fixed, have no part along the rows. */
 static void multipliers(int inner)
 {
@@ -185,7 +211,7 @@ int main(void)
     for (inner = 0; inner < 2; ++inner) {
         for (elastic = 0; elastic < 2; ++elastic)
             steps(inner, elastic), curvatures(0, inner, elastic);
-        curvatures(1, inner, 0), multipliers(inner);
+        curvatures(1, inner, 0), multipliers(inner), refinements(inner);
     }
     close_drawn();
     return broken > 0;

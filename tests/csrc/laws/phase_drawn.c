@@ -54,7 +54,7 @@ static void functions(int elastic)
     int turn, i, row;
     for (turn = 0; turn < 3; ++turn) {
         mbs_stages_phase *p = open_iterate(4, 0, elastic);
-        real slope[ALL], most = 0, worst = 0, mean = 0, product = 0;
+        real slope[ALL], most = 0, worst = 0, mean = 0, product = 0, all;
         mbs_stages_errors e;
         int count = 0;
         LAW("the cost is the sum of its terms", fabs(p->cost - sum_cost(p)) < 1e-12 * (1 + fabs(p->cost)));
@@ -68,10 +68,10 @@ static void functions(int elastic)
         }
         mbs_stages_stationarity(drawn, p, 0, slope);
         for (i = 0; i < p->size; ++i) {
-            const real of_cost = slope_of_cost(p, i), all = of_cost + slope_of_rows(p, i);
+            const real of_cost = slope_of_cost(p, i), with_rows = of_cost + slope_of_rows(p, i);
             LAW("slopes of the cost", fabs(p->gradient[i] - of_cost) < 1e-12);
-            LAW("and of rows", fabs(p->lagrangian[i] - all) < 1e-11);
-            LAW("and of bounds", drawn->fixed[i] ? slope[i] == 0 : fabs(slope[i] - all - p->zu[i] + p->zl[i]) < 1e-11);
+            LAW("and of rows", fabs(p->lagrangian[i] - with_rows) < 1e-11);
+            LAW("and of bounds", drawn->fixed[i] ? slope[i] == 0 : fabs(slope[i] - with_rows - p->zu[i] + p->zl[i]) < 1e-11);
             most = fmax(most, fabs(slope[i]));
             if (drawn->fixed[i])
                 continue;
@@ -86,9 +86,12 @@ static void functions(int elastic)
         LAW("usual multipliers forgive nothing", e.scaled == fmax(e.stationarity, fmax(e.violation, e.complementarity)));
         memset(p->c, 0, ROWS * sizeof *p->c), memset(p->lagrangian, 0, (size_t)p->size * sizeof *p->lagrangian);
         drawn->options.s_max = mean / (real)count / 4;
+        for (row = 0, all = mean; row < ROWS; ++row)
+            all += fabs(p->y[row]);
+        all = fmax(all / (real)(count + ROWS) / drawn->options.s_max, 1);
         e = mbs_stages_measure_errors(drawn, p, 0);
-        LAW("products are divided by the mean of their multipliers, if that is large",
-            e.scaled == fmax(e.complementarity / 4, e.scaled) && e.scaled < e.complementarity);
+        LAW("errors beside the means of large multipliers, as Waechter and Biegler have them in (5) and (6)",
+            fabs(e.scaled - fmax(e.complementarity / 4, e.stationarity / all)) < 1e-12);
     }
 }
 

@@ -118,6 +118,8 @@ static void scale_by_slopes(void)
     LAW("a steep row is divided", near(scale_row(&o, 4000, 1), (real)0.025) && near(scale_row(&o, 4000, (real)1e-6), (real)0.025));
     LAW("a flat one stays", scale_row(&o, (real)1e-5, 1) == 1);
     LAW("but where units are small", near(scale_row(&o, (real)1e-5, (real)1e-6), (real)1e5));
+    LAW("by its slope, down to a product of two units",
+        near(scale_row(&o, (real)1e-8, (real)1e-6), (real)1e8) && near(scale_row(&o, (real)1e-13, (real)1e-6), (real)1e12));
     LAW("by no more than the finest", near(scale_row(&o, 0, (real)1e-6), (real)1e6));
     LAW("a usual one stays", scale_row(&o, (real)0.02, (real)1e-6) == 1);
 }
