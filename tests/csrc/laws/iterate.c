@@ -203,6 +203,10 @@ static void lowering(void)
     anew(s, p);
     p->elastic = 1;
     LAW("in restoration too", lowered(p, 1.01) == 0.1);
+    s->options.resto_penalty_parameter = (real)1e10, p->mu = (real)1e-5; /* rounding is some 2e-4 */
+    LAW("where rounding of the penalty is no error", lowered(p, (real)2e-4) < (real)1e-5);
+    p->mu = (real)1e-5;
+    LAW("but more is", lowered(p, (real)4e-4) == (real)1e-5);
     anew(s, p);
     p->mu = 1e-4;
     LAW("near the end by the power of 3/2", near(lowered(p, 2.9e-3), 1e-6));

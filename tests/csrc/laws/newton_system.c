@@ -159,7 +159,7 @@ static void curvatures(int by_stage, int inner, int elastic)
     LAW("on demand in all variables", slopes_left(drawn, p, 1) < 1e-7 && rows_left(drawn, p) < 1e-9);
 }
 
-/* Residuals that refinement goes by, and rows that hardly give and are taken as exact. */
+/* Residuals of a step by stages, and rows that hardly give and are taken as exact. */
 static void refinements(int inner)
 {
     mbs_stages_phase *p = open_iterate(4, inner, 0);

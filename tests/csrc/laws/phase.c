@@ -79,6 +79,10 @@ static void steps(void)
     LAW("multipliers stay positive", mbs_stages_dual_boundary(&solver, p, &d) == 1);
     d.zl[0] = -3;
     LAW("of lower bounds", near(mbs_stages_dual_boundary(&solver, p, &d), 0.5));
+    p->zl[1] = 1, d.zl[1] = -1;
+    LAW("the nearest one counts", near(mbs_stages_dual_boundary(&solver, p, &d), 0.5));
+    p->zu[1] = 1, d.zu[1] = -1;
+    LAW("of both kinds", near(mbs_stages_dual_boundary(&solver, p, &d), 0.5));
     d.zu[0] = -12;
     LAW("and of upper ones", near(mbs_stages_dual_boundary(&solver, p, &d), 0.25));
 }

@@ -95,6 +95,18 @@ static void functions(int elastic)
     }
 }
 
+/* The Hessian of a stage: of its cost, which counts nothing in restoration, and of its rows. */
+static void curvatures(int elastic)
+{
+    mbs_stages_phase *p = open_iterate(4, 0, elastic);
+    int i, j, k, at = 0;
+    for (k = 0; k < STAGES; at += count_variables(k++))
+        for (j = 0; j < count_variables(k); ++j)
+            for (i = j; i < count_variables(k); ++i)
+                LAW("curvature is of the Lagrangian", fabs(drawn->recursion.stage[k].H.value[j * count_variables(k) + i] -
+                        curvature_of(p->y, elastic ? 0 : 1, at + i, at + j)) < 1e-12);
+}
+
 /* In restoration the distance from the reference weighs less as mu falls. */
 static void weights(void)
 {
@@ -145,7 +157,7 @@ static void sums(void)
 
 int main(void)
 {
-    functions(0), functions(1), weights(), failures(), sums();
+    functions(0), functions(1), curvatures(0), curvatures(1), weights(), failures(), sums();
     close_drawn();
     return broken > 0;
 }

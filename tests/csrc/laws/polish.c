@@ -24,13 +24,13 @@ int mbs_stages_phase_derivatives(mbs_stages *s, mbs_stages_phase *p)
 int mbs_stages_phase_hessian(mbs_stages *s, mbs_stages_phase *p)
 {
     (void)s, (void)p;
-    return given.fails;
+    return given.fails == 1;
 }
 
 int mbs_stages_newton_factorise(mbs_stages *s, mbs_stages_phase *p)
 {
     (void)s, (void)p;
-    return 0;
+    return given.fails == 2;
 }
 
 void mbs_stages_stationarity(mbs_stages *s, mbs_stages_phase *p, int barrier, real *out)
@@ -138,6 +138,9 @@ static void measuring(mbs_stages *s, mbs_stages_phase *p)
     given.least = 0, p->zl[0] = 1e-9, p->x[0] = 4 + 3e-8, p->zu[0] = 5;
     LAW("above, beside the size of the bound", away(find_share(s, p, 1e-8).all, 5 * 4e-8) < 1e-14);
     LAW("and the rise", away(find_share(s, p, 1e-8).rise, 5 * 3e-8) < 1e-14);
+    p->lower[0] = -4 - 4e-8, p->x[0] = -4 - 3e-8, p->zl[0] = 5;
+    LAW("below, too", away(find_share(s, p, 1e-8).all, 5 * 4e-8) < 1e-14 && away(find_share(s, p, 1e-8).rise, 5 * 3e-8) < 1e-14);
+    p->lower[0] = -1e-8, p->x[0] = 4 + 3e-8, p->zl[0] = 1e-9;
     fixed[0] = 1;
     LAW("fixed ones have none", find_share(s, p, 1e-8).all == 0);
     fixed[0] = 0, p->cost = -200;
@@ -161,11 +164,12 @@ static void measuring(mbs_stages *s, mbs_stages_phase *p)
 
 static void comparing(void)
 {
-    const share before = {-0.5, 2}, after = {-0.25, 1.5}, larger = {-0.25, 2};
+    const share before = {-0.5, 2}, after = {-0.25, 1.5}, larger = {-0.25, 2}, tiny = {0, 1e-14}, none = {0, 0};
     LAW("nearer is what is off by less, and rose as was said", is_nearer(before, after, 7, 6.75));
     LAW("or nearly so", is_nearer(before, after, 7, 6.56) && is_nearer(before, after, 7, 6.94));
     LAW("not what fell by more", !is_nearer(before, after, 7, 6.54));
     LAW("nor by less", !is_nearer(before, after, 7, 6.96));
+    LAW("rounding of the cost is nothing", is_nearer(tiny, none, 1e3, 1e3 + 1e-12) && !is_nearer(tiny, none, 1e3, 1e3 + 1e-9));
     LAW("nor what is off by as much", !is_nearer(before, larger, 7, 6.75));
 }
 
@@ -207,8 +211,9 @@ static void ending(mbs_stages *s, mbs_stages_phase *p)
 static void sharpening(mbs_stages *s, mbs_stages_phase *p)
 {
     anew(s, p);
-    given.boundary = 0.5, given.dual = 0.25;
+    given.boundary = 0.5, given.dual = 0.25, p->step.x[1] = p->step.y[1] = p->step.zl[1] = p->step.zu[1] = 5;
     LAW("a step goes as far as bounds allow", make_step(s, p) == 0 && p->x[0] == 1.5 && p->y[0] == 4);
+    LAW("of the numbers that there are", p->x[1] == 0 && p->y[1] == 0 && p->zl[1] == 0 && p->zu[1] == 0);
     LAW("multipliers by their own length", near(p->zl[0], 1 + 1e-9) && near(p->zu[0], 0.5 + 1e-9) && s->result.iterations == 1);
     LAW("the right-hand side is the barrier's, and distances are mended", given.barrier == 1 && given.mended == 1);
     ending(s, p);
@@ -257,7 +262,9 @@ static void failing(mbs_stages *s, mbs_stages_phase *p)
     LAW("smaller falls are tried, above 1 none", s->result.iterations == 2 + 2 * 3);
     anew(s, p);
     p->cost = 2, p->x[0] = 4 + 3e-8, p->zu[0] = 5, given.fails = 1;
-    LAW("no derivatives, no step", sharpen(s, p, 1e-8, 1e-10, 1e-2) == -1);
+    LAW("no derivatives, no step", make_step(s, p) == -1 && sharpen(s, p, 1e-8, 1e-10, 1e-2) == -1);
+    given.fails = 2;
+    LAW("no factors, none", make_step(s, p) == -1 && s->result.iterations == 0);
     LAW("and all is as before", p->x[0] == 4 + 3e-8 && p->cost == 2);
     anew(s, p);
     p->cost = 2, p->lower[0] = 2 - 1e-12, p->zl[0] = 5, given.target = given.solution = 2;
