@@ -8,6 +8,7 @@ equations, or it is sampled: computed every `period`, and held in between, so th
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -18,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mbsgen.errors import MbsError
-from mbsgen.expressions import Expression, Program, names
+from mbsgen.expressions import FLOATS, Expression, ExpressionError, Program, names
 from mbsrun.kernel import Kernels
 from mbsrun.quantities import ARRAYS as ARRAYS
 from mbsrun.quantities import SENSED, Quantity, lay_out
@@ -209,7 +210,7 @@ def express(
         name: quantities[name] for e in expressions for name in names(e) if name in quantities and name not in known
     }
 
-    program = Program(expressions, ARRAYS)
+    program, single = Program(expressions, ARRAYS), Program(expressions, FLOATS)
 
     def compute(t: Array, state: Mapping[str, Array]) -> Array:
         with np.errstate(all="ignore"):
@@ -222,7 +223,13 @@ def express(
         return np.stack(columns, axis=1) if columns else np.zeros((len(t), 0))
 
     def follow(kernels: Kernels, t: Array, q: Array, qd: Array) -> Array:
-        return compute(t, measure(used, kernels, q, qd))
+        state = measure(used, kernels, q, qd)
+        if len(t) == 1:  # floats take a third of the time of arrays
+            numbers = {TIME: t.item(), **{name: x.item() for name, x in state.items()}}
+            values = _evaluate(single, {**constants, **numbers})
+            if values is not None:
+                return values[None]
+        return compute(t, state)
 
     with np.errstate(all="ignore"):  # an unknown name is an error before anything runs
         program.evaluate({**known, **dict.fromkeys(used, np.ones(1))})
@@ -230,6 +237,15 @@ def express(
         return Drive(control=follow, period=period)
     is_constant = not any(TIME in names(expression) for expression in expressions)
     return Drive((Piece(0.0, np.inf, lambda t: compute(t, {}), is_constant),))
+
+
+def _evaluate(program: Program[float], values: Mapping[str, float]) -> Array | None:
+    """Compute expressions; None where one has no finite value."""
+    try:
+        found = program.evaluate(values)
+    except ExpressionError:
+        return None
+    return np.array(found) if all(map(math.isfinite, found)) else None
 
 
 def measure(used: Mapping[str, Quantity], kernels: Kernels, q: Array, qd: Array) -> dict[str, Array]:
