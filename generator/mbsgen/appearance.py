@@ -233,7 +233,7 @@ def _describe_element(element: ForceElement, seats: _Seats, values: Mapping[str,
 
 def _has_arrow(contact: Contact) -> bool:
     is_hollow = isinstance(contact.other, Sphere) and contact.other.inside
-    return not (contact.is_rigid or contact.wheel is not None or is_hollow)
+    return not (contact.is_rigid or contact.wheel is not None or is_hollow or contact.law is not None)
 
 
 def _describe_contact(contact: Contact, seats: _Seats, values: Mapping[str, float]) -> Touch:

@@ -3,7 +3,7 @@
 It reads JSON from stdin: `file`, and `states` of coordinates `q`, speeds `u` and accelerations `udot` by name. It
 prints JSON: `names` of coordinates; for each state `M` and `tau` in their order, `bodies` and `markers` by their places
 in the ground, and `paths`: lengths, rates and moment arms of all muscles and springs. Forces act only if they are
-springs and limits of coordinates.
+springs and limits of coordinates, or contacts.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import json
 import sys
 from typing import Any
 
-ACTING = ("SpringGeneralizedForce", "CoordinateLimitForce")
+ACTING = ("SpringGeneralizedForce", "CoordinateLimitForce", "SmoothSphereHalfSpaceForce", "HuntCrossleyForce")
 FAR = 1e-3  # rad or m: beside this, a coordinate that a coupling moves is at another place
 
 

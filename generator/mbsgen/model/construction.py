@@ -20,6 +20,7 @@ from mbsgen.documents import Data, WrongValueError, abbreviate, refuse, take, wr
 from mbsgen.errors import Fault
 from mbsgen.expressions import Expression, write
 from mbsgen.model.checks.checks import find_faults
+from mbsgen.model.contact_laws import SphereLaw
 from mbsgen.model.file.loops import read_cut
 from mbsgen.model.joints import find_joint_type
 from mbsgen.model.joints.dh import DhSection
@@ -330,12 +331,14 @@ def contact(
     wheel: tuple[Quantity, Direction] | tuple[Quantity, Direction, Quantity] | None = None,
     tyre: Tyre | None = None,
     points: Sequence[Vector] = (),
+    law: SphereLaw | None = None,
 ) -> Contact:
     """Make a contact of a sphere with a plane, a sphere, a box or a capsule, or of another shape with a plane.
 
     A compliant contact has a stiffness, and `friction` is a coefficient and a speed [m/s]; a rigid one has a
     restitution, and `friction` is a coefficient. `wheel` is the radius of a circle, its axis, and perhaps the length of
     a cylinder; a `tyre` is made by `brush` or `magic`. `points` are the corners of a hull, rounded by the radius.
+    A `law` of a sphere is OpenSim's, in place of the usual one.
     """
     grip = None
     if isinstance(friction, tuple):
@@ -345,9 +348,9 @@ def contact(
     edges, placement = None if size is None else vector(size), _place(position, orientation)
     depth = WIDTH if width is None else number(width)
     body_part = (name, body, number(stiffness), placement, number(radius), edges)
-    law = number(exponent), number(dissipation), depth, grip, None if restitution is None else number(restitution)
+    own = number(exponent), number(dissipation), depth, grip, None if restitution is None else number(restitution)
     circle = None if wheel is None else Wheel(number(wheel[0]), _direct(wheel[1]), *map(number, wheel[2:]))
-    return Contact(*body_part, other, *law, circle, tyre, tuple(map(vector, points)))
+    return Contact(*body_part, other, *own, circle, tyre, tuple(map(vector, points)), law)
 
 
 def stop(name: str, quantity: Quantity, limits: Limits, *, hold: Quantity = 0.0, **law: Quantity) -> Stop:

@@ -58,6 +58,8 @@ The distance g from the segment of a capsule, of length l along z, is with the s
 
 A few widths from the planes through the ends it is the distance; where it is 0, on the segment, kernels fail.
 
+A sphere may have a law of `mbsgen.model.contact_laws` instead.
+
 The friction is Coulomb's, regularised (Brown, McPhee, "A continuous velocity-based friction model", J. Comput.
 Nonlinear Dyn. 11, 2016, compare such laws); a body at rest on a slope creeps.
 """
@@ -73,6 +75,7 @@ from sympy import DiracDelta, Expr, Integer, Mul, Symbol, asin, sign, sqrt
 
 from mbsgen.expressions import Expression, Name, names, parse
 from mbsgen.model import model
+from mbsgen.model.contact_laws import SphereLaw
 from mbsgen.model.model import LENGTH, LENGTH_RATE, Block, Capsule, Contact, ForceElement, Sphere, Stop, press
 from mbsgen.model.quantities import name_lengths
 from mbsgen.model.symbols import total
@@ -535,8 +538,9 @@ class Loads:
             [self._probe(name, k, reading, at) for reading in (Reading.VELOCITY, Reading.SPIN)]
             for k, at in (("c", centre), ("P", side.anchor))
         )
-        if contact.tyre is not None:
-            arm, reach = subtract(arm, scale(gap, n)), subtract(reach, scale(gap, n))
+        shift = self._shift(contact) * gap
+        if shift:
+            arm, reach = subtract(arm, scale(shift, n)), subtract(reach, scale(shift, n))
         relative = subtract(add(vc, cross(wc, arm)), add(vP, cross(wP, reach)))
         v = self._define_vector(name, "v", relative)
         rate = self._define(name, "rate", dot(n, v))
@@ -560,7 +564,10 @@ class Loads:
             slip = self._define_vector(name, "slip", subtract(v, scale(rate, n)))
             own = {"normal": N, "square": dot(slip, slip)}
             own |= {key: self._read(getattr(contact.friction, key), {}) for key in ("coefficient", "speed")}
-            drag = self._define(name, "drag", self._read(_DRAG, own))
+            law = _DRAG
+            if contact.law is not None:
+                law, own = contact.law.drag, own | self._list_numbers(contact, contact.law)
+            drag = self._define(name, "drag", self._read(law, own))
             F = subtract(F, scale(drag, slip))
         F = self._define_vector(name, "F", F)
         self._act(name, centre, F, add(cross(arm, F), M))
@@ -668,10 +675,34 @@ class Loads:
         arm = scale(-r, n)
         return _Meeting(n, gap, arm, add(d, arm))
 
+    def _shift(self, contact: Contact) -> Expr:
+        """Return the part of the gap by which a force acts further from the first side than its nearest point."""
+        if contact.tyre is not None:
+            return ONE
+        if contact.law is None:
+            return ZERO
+        share = self._read(contact.law.share, {})
+        if isinstance(contact.other, Sphere):
+            r, R = (self._read(x, {}) for x in (contact.radius, contact.other.radius))
+            return share - r / (r + R)
+        return share
+
+    def _list_numbers(self, contact: Contact, law: SphereLaw) -> dict[str, Expr]:
+        static = law.static
+        if static is None:
+            static = model.ZERO if contact.friction is None else contact.friction.coefficient
+        given = {key: getattr(law, key) for key in law.keys} | {"static": static}
+        return {key: self._read(x, {}) for key, x in given.items()}
+
     def _press(self, contact: Contact, name: str, gap: Expr, rate: Expr, exponent: float) -> tuple[Expr, Expr]:
         """Define the depth and the normal force."""
         own = {key: self._read(getattr(contact, key), {}) for key in ("stiffness", "dissipation", "width")}
         own |= {"gap": gap, "rate": rate}
+        if contact.law is not None:
+            own |= self._list_numbers(contact, contact.law)
+            if contact.law.near is not None:
+                own["near"] = self._define(name, "near", self._read(contact.law.near, own))
+            return -gap, self._define(name, "N", self._read(contact.law.press(contact.dissipation), own))
         own["depth"] = self._define(name, "depth", self._read(_DEPTH, own))
         own["power"] = own["depth"] ** int(exponent)
         if exponent % 1:

@@ -13,6 +13,7 @@ from types import MappingProxyType
 
 from mbsgen.expressions import Call, Expression, Name, Negation, Number, Operation, names
 from mbsgen.manifest import Shape
+from mbsgen.model.contact_laws import SphereLaw
 from mbsgen.model.muscles import LENGTH as LENGTH
 from mbsgen.model.muscles import LENGTH_RATE as LENGTH_RATE
 from mbsgen.model.muscles import Muscle
@@ -496,6 +497,7 @@ class Contact:
     wheel: Wheel | None = None
     tyre: Tyre | None = None  # of a wheel, in place of friction
     points: tuple[Triple, ...] = ()  # of a hull, in the contact's frame [m]
+    law: SphereLaw | None = None  # of a sphere, in place of the usual one
 
     @property
     def has_points(self) -> bool:

@@ -11,6 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 from mbsgen.expressions import Expression, Number, write
+from mbsgen.model.contact_laws import SphereLaw
 from mbsgen.model.joints import describe_joint
 from mbsgen.model.model import (
     BASE,
@@ -344,7 +345,16 @@ def _write_contact(contact: Contact) -> Mapped:
         content["friction"] = _write_given(contact.friction, ("coefficient", "speed"))
     if contact.tyre is not None:
         content["tyre"] = _write_tyre(contact.tyre)
+    if contact.law is not None:
+        content["law"] = _write_sphere_law(contact.law)
     return content
+
+
+def _write_sphere_law(law: SphereLaw) -> Mapped:
+    usual = SphereLaw(law.kind)
+    given = {key: x for key in law.keys if (x := getattr(law, key)) != getattr(usual, key)}
+    content: Mapped = {"type": law.kind}
+    return content | {key: _write_number(x) for key, x in given.items()}
 
 
 def _write_tyre(tyre: Tyre) -> Mapped:

@@ -28,6 +28,7 @@ from mbsgen.importing.closing import Closure, Curve, Equation, Spot, Term, X
 from mbsgen.importing.drafting import Draft, Move, list_moves, move_freely
 from mbsgen.importing.findings import Findings
 from mbsgen.importing.markup import Element
+from mbsgen.importing.osim.contacts import CONTACTS, Touch, Touching
 from mbsgen.importing.osim.forces import READ, Forces, is_on
 from mbsgen.importing.osim.frames import GROUND, Frames, Mount, invert
 from mbsgen.importing.osim.functions import Sum, read_function, write_number, write_shift
@@ -43,16 +44,17 @@ from mbsgen.importing.osim.joints import (
 )
 from mbsgen.importing.osim.muscles import MUSCLES, PATHS, SHAPES, Line, Paths, Point, Surface
 from mbsgen.importing.osim.vocabulary import VOCABULARY
-from mbsgen.importing.poses import ORIGIN, Pose
+from mbsgen.importing.poses import ORIGIN, Pose, write_axis, write_triple
 from mbsgen.importing.solids import NOTHING, Solid
 from mbsgen.importing.vocabulary import survey
-from mbsgen.model.model import BASE, PathPoint, Presence, Wrap
+from mbsgen.model.model import BASE, Contact, PathPoint, Plane, Presence, Sphere, Wrap
 from mbsgen.model.model import ORIGIN as MODEL_ORIGIN
 from mbsgen.model.tree import Cut
 
 GRAVITY = (0.0, -9.80665, 0.0)  # the default of OpenSim
 OLDEST, NEWER, NEWEST = 20303, 30500, 40000  # between the last two, files of versions that were never released
 FULL_TURNS = 4 * math.pi  # rad: a range beyond this is probably in degrees
+ROUNDING = 1e-12  # of the components of a normal
 BOUNDLESS = 9999.0  # rad or m: the size of bounds that stand for none
 _CUTS = {
     "WeldJoint": (Cut.SOLID, None, None),
@@ -134,6 +136,7 @@ class _File:
         self._lines: list[Line] = []  # muscles and springs along paths
         self._own: dict[str, str] = {GROUND: BASE}  # bodies of the model, by name in the file
         self._inner: dict[str, Pose] = {GROUND: ORIGIN}  # poses of the file's frames of bodies in the model's
+        self._roots: dict[str, str] = {BASE: BASE}  # bodies of the model that do not move relative to others, by these
 
     def read(self) -> Imported:
         """Read the file, and complete the model."""
@@ -156,6 +159,8 @@ class _File:
         )
         found = [paths.read(x) for x in self._list("ForceSet") if x.tag in PATHS]
         self._lines = [line for line in found if line is not None]
+        touching = Touching(self._model, self._frames, self._findings)
+        touches = [each for x in self._list("ForceSet") if x.tag in CONTACTS for each in touching.read(x)]
         couplers = [x for x in self._list("ConstraintSet") if x.tag == "CoordinateCouplerConstraint" and self._acts(x)]
         rules = {id(x): rule for x in couplers if (rule := self._read_coupler(x)) is not None}
         self._resolve(joints, [rules[id(x)] for x in couplers if id(x) in rules])
@@ -185,6 +190,8 @@ class _File:
             self._add_marker(marker, mount)
         for line in self._lines:
             self._add_line(line)
+        for touch in touches:
+            self._add_contact(touch)
         self._tell_muscles()
         if self._findings.faults:
             raise self._findings.refuse()
@@ -414,6 +421,7 @@ class _File:
             moves = move_freely(element, quaternion=self._choices.quaternions)
             self._own[body] = self._draft.add_body(body, BASE, ORIGIN, moves, solid, element)
             self._inner[body] = ORIGIN
+            self._roots[self._own[body]] = self._own[body]
         else:
             self._carry(body, joint, solid)
         self._draft.add_frame(body, self._own[body], self._inner[body], element)
@@ -438,6 +446,7 @@ class _File:
         self._own[body] = self._draft.add_body(
             body, self._own[near.body], pose, moves, solid, self._frames.bodies[body]
         )
+        self._roots[self._own[body]] = self._own[body] if moves else self._roots[self._own[near.body]]
 
     def _list_moves(self, joint: _Joint, axes: Sequence[Axis], near: str) -> tuple[list[Move], Pose]:
         """List the moves of a joint, and the pose of its last frame after them."""
@@ -634,6 +643,36 @@ class _File:
             )
             return "q_"
         return f"q_{re.sub(r'[^A-Za-z0-9_]', '_', self._draft.find_joint(coordinate))}"
+
+    # --- contacts ----------------------------------------------------------------------------------------------------
+
+    def _add_contact(self, touch: Touch) -> None:
+        ball, other = touch.sphere.mount, touch.other.mount
+        bodies = [self._own[x.body] for x in (ball, other)]
+        if self._roots[bodies[0]] == self._roots[bodies[1]]:
+            self._findings.tell(touch.element, f"{abbreviate(touch.name)} is between bodies that do not move: left out")
+            return
+        writer = self._draft.writer
+        first, second = (self._inner[x.body] @ x.pose for x in (ball, other))
+        assert touch.sphere.radius is not None, "the first side is a sphere"
+        centre = write_triple(second.position)
+        if touch.other.radius is None:
+            normal = np.where(np.abs(second.rotation[:, 0]) < ROUNDING, 0.0, -second.rotation[:, 0])
+            side: Plane | Sphere = Plane(bodies[1], centre, write_axis(normal))
+        else:
+            side = Sphere(Number(touch.other.radius), bodies[1], centre)
+        contact = Contact(
+            name=touch.name,
+            body=bodies[0],
+            stiffness=Number(touch.stiffness),
+            placement=writer.placement(Pose(np.eye(3), first.position, ())),
+            radius=Number(touch.sphere.radius),
+            other=side,
+            dissipation=Number(touch.dissipation),
+            friction=touch.friction,
+            law=touch.law,
+        )
+        self._draft.add_contact(contact, touch.element)
 
     @property
     def _sizes(self) -> dict[str, float]:

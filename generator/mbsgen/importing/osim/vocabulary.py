@@ -5,6 +5,7 @@ Source: OpenSim's documentation of its classes and their properties.
 
 from __future__ import annotations
 
+from mbsgen.importing.osim.contacts import BLUNT, HALF_SPACE, PARAMETERS, SETS, SMOOTH, SPHERE
 from mbsgen.importing.osim.forces import ACTUATORS, LIMIT, SPRING
 from mbsgen.importing.osim.functions import FUNCTIONS
 from mbsgen.importing.osim.joints import JOINTS
@@ -19,7 +20,10 @@ _MUSCLES = (
     "Thelen2003Muscle_Deprecated Schutte1993Muscle_Deprecated Delp1990Muscle_Deprecated Millard2012AccelerationMuscle "
     "McKibbenActuator PathActuator"
 )
-_CONTACTS = "HuntCrossleyForce ElasticFoundationForce SmoothSphereHalfSpaceForce MeyerFregly2016Force"
+_CONTACTS = "ElasticFoundationForce MeyerFregly2016Force"
+_MATERIAL = " ".join(
+    f"{x}=value" for x in ["stiffness", "dissipation", "static_friction", "dynamic_friction", "viscous_friction"]
+)
 _SPRINGS = (
     "BushingForce FunctionBasedBushingForce ExpressionBasedBushingForce PointToPointSpring Ligament "
     "Blankevoort1991Ligament ExpressionBasedPointToPointForce ExpressionBasedCoordinateForce "
@@ -39,8 +43,9 @@ PLACES: dict[str, Place] = {
     "OpenSimDocument": place(read="@Version Model"),
     "Model": place(
         read="@name gravity=value length_units=value force_units=value Ground=ground BodySet=bodies JointSet=joints "
-        "ConstraintSet=constraints ForceSet=forces MarkerSet=markers ControllerSet=controllers ComponentSet=components",
-        idle="credits publications defaults assembly_accuracy ContactGeometrySet ProbeSet ModelVisualPreferences "
+        "ConstraintSet=constraints ForceSet=forces MarkerSet=markers ControllerSet=controllers ComponentSet=components "
+        "ContactGeometrySet=geometry",
+        idle="credits publications defaults assembly_accuracy ProbeSet ModelVisualPreferences "
         "OutputReporterSet AnalysisSet groups WrapObjectSet SimbodyEngine",
     ),
     "value": place(read="#text"),
@@ -108,7 +113,7 @@ PLACES: dict[str, Place] = {
     "forces": place(read="@name objects=forces_in", idle="groups"),
     "forces_in": place(
         read=" ".join(f"{name}*=actuator" for name in ACTUATORS)
-        + f" {SPRING}*=spring {LIMIT}*=limit "
+        + f" {SPRING}*=spring {LIMIT}*=limit {SMOOTH}*=smooth {BLUNT}*=blunt "
         + " ".join(f"{name}*=line" for name in PATHS),
         warned=_out(_MUSCLES, "muscles are not part of the model: its force is left out")
         | _out(_CONTACTS, "this contact is not part of the model; describe it under contacts")
@@ -128,6 +133,27 @@ PLACES: dict[str, Place] = {
         read="@name appliesForce=value isDisabled=value coordinate=value upper_stiffness=value upper_limit=value "
         "lower_stiffness=value lower_limit=value damping=value transition=value",
         idle="compute_dissipation_energy",
+    ),
+    "smooth": place(
+        read=f"@name appliesForce=value isDisabled=value socket_sphere=value socket_half_space=value {_MATERIAL} "
+        "transition_velocity=value constant_contact_force=value hertz_smoothing=value hunt_crossley_smoothing=value",
+        idle="force_visualization_radius force_visualization_scale_factor",
+    ),
+    "blunt": place(
+        read=f"@name appliesForce=value isDisabled=value {SETS}=materials contact_parameters=materials "
+        "transition_velocity=value"
+    ),
+    "materials": place(read="@name objects=materials_in", idle="groups"),
+    "materials_in": place(read=f"{PARAMETERS}*=material ContactParameters*=material"),
+    "material": place(read=f"@name geometry=value {_MATERIAL}"),
+    "geometry": place(read="@name objects=geometry_in", idle="groups"),
+    "geometry_in": place(
+        read=f"{SPHERE}*=shape {HALF_SPACE}*=shape",
+        idle="ContactMesh",  # contacts warn of it
+    ),
+    "shape": place(
+        read="@name socket_frame=value body_name=value location=value orientation=value radius=value",
+        idle="Appearance display_preference color",
     ),
     "line": place(
         read="@name appliesForce=value isDisabled=value GeometryPath=path path=paths max_isometric_force=value "

@@ -17,6 +17,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 from mbsgen.expressions import Expression, Name, Number, evaluate, names
+from mbsgen.model.contact_laws import SphereLaw
 from mbsgen.model.elimination import Sums, eliminate, find_sums
 from mbsgen.model.expansion import Step, list_steps
 from mbsgen.model.following import list_joints
@@ -315,6 +316,7 @@ class _Release:
                 self._number(f"{path}.friction.speed", grip.speed),
             )
         is_rigid = contact.is_rigid  # its law is constant
+        is_lossless = is_rigid or (contact.law is not None and contact.dissipation == ZERO)
         return replace(
             contact,
             stiffness=contact.stiffness if is_rigid else self._number(f"{path}.stiffness", contact.stiffness),
@@ -322,13 +324,22 @@ class _Release:
             radius=self._number(f"{path}.radius", contact.radius) if contact.size is None else contact.radius,
             size=contact.size and self._triple(f"{path}.size", contact.size),
             other=self._other(f"{path}.{contact.key}", contact.other),
-            dissipation=contact.dissipation if is_rigid else self._number(f"{path}.dissipation", contact.dissipation),
+            dissipation=contact.dissipation
+            if is_lossless
+            else self._number(f"{path}.dissipation", contact.dissipation),
             width=self._number(f"{path}.width", contact.width),
             wheel=contact.wheel and self._wheel(f"{path}.wheel", contact.wheel),
             points=tuple(self._triple(f"{path}.points.{k}", point) for k, point in enumerate(contact.points, 1)),
             friction=grip,
             tyre=contact.tyre and self._tyre(f"{path}.tyre", contact.tyre),
+            law=contact.law and self._sphere_law(f"{path}.law", contact.law),
         )
+
+    def _sphere_law(self, path: str, law: SphereLaw) -> SphereLaw:
+        static, viscous, share, *smooth = (
+            (x := getattr(law, key)) and self._number(f"{path}.{key}", x) for key in law.keys
+        )
+        return SphereLaw(law.kind, static, viscous, share, *smooth)
 
     def _wheel(self, path: str, wheel: Wheel) -> Wheel:
         length = wheel.length if wheel.length == ZERO else self._number(f"{path}.length", wheel.length)

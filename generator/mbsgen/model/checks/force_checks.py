@@ -10,12 +10,14 @@ from sympy import Expr, Symbol
 
 from mbsgen.documents import Finding, Place, abbreviate, nearest
 from mbsgen.expressions import Expression, names, parse, substitute, write
+from mbsgen.model.contact_laws import SphereLaw
 from mbsgen.model.elements import POWERS
 from mbsgen.model.model import (
     BASE,
     HERTZ,
     LENGTH,
     LENGTH_RATE,
+    WIDTH,
     ZERO,
     Block,
     Capsule,
@@ -24,6 +26,7 @@ from mbsgen.model.model import (
     Model,
     PathPoint,
     Plane,
+    Sphere,
     Triple,
     Wrap,
     Wrench,
@@ -240,6 +243,8 @@ def _check_contact(place: Place, contact: Contact, valuation: Valuation) -> Iter
         if not isinstance(contact.other, Plane):
             yield Finding((*place, "wheel"), f"a wheel and a {contact.key}", "a wheel touches a plane alone")
     yield from _check_positive((*place, "width"), contact.width, valuation)
+    if contact.law is not None:
+        yield from _check_law(place, contact, contact.law, valuation)
     if contact.is_rigid:
         yield from _check_rigid(place, contact, valuation)
         return
@@ -256,6 +261,31 @@ def _check_contact(place: Place, contact: Contact, valuation: Valuation) -> Iter
             yield Finding(at, finding, "give a speed that smooths it, or restitution in place of stiffness")
         else:
             yield from _check_positive((*at, "speed"), contact.friction.speed, valuation)
+
+
+def _check_law(place: Place, contact: Contact, law: SphereLaw, valuation: Valuation) -> Iterator[Finding]:
+    """Find what is wrong with a law of a sphere, and with what it is beside."""
+    at, other = (*place, "law"), contact.other
+    is_ball = isinstance(other, Plane) or (isinstance(other, Sphere) and not other.inside)
+    if contact.has_points or contact.wheel is not None or contact.radius == ZERO or not is_ball:
+        yield Finding(at, "a law that is not of a sphere on a plane or a sphere", "leave it out, or give a radius")
+    if law.kind == "smooth" and isinstance(other, Sphere):
+        yield Finding(at, "a smooth law of two spheres", "give hunt_crossley, or a plane")
+    for key, usual in (("exponent", HERTZ), ("width", WIDTH)):
+        if getattr(contact, key) != usual:
+            yield Finding((*place, key), f"the {key} beside a law", "leave it out: the law has its own")
+    if contact.is_rigid:
+        yield Finding(at, "the law of a rigid contact", "leave it out, or give stiffness in place of restitution")
+    if contact.friction is None and (law.static is not None or law.viscous != ZERO):
+        yield Finding((*place, "friction"), "missing", "give a coefficient and a speed beside static and viscous")
+    for key in law.keys:
+        number = getattr(law, key)
+        if key in ("depth_slope", "speed_slope"):
+            yield from _check_positive((*at, key), number, valuation)
+        elif number is not None:
+            yield from _check_not_negative((*at, key), number, valuation)
+    if valuation.number((*at, "share"), law.share) > 1:
+        yield Finding((*at, "share"), "more than 1", "give a part of the depth")
 
 
 def _check_points(place: Place, contact: Contact, valuation: Valuation) -> Iterator[Finding]:

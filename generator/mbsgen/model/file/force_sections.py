@@ -8,6 +8,7 @@ from pydantic import Field, PlainValidator
 
 from mbsgen.documents import Section
 from mbsgen.expressions import Number
+from mbsgen.model.contact_laws import SphereLaw
 from mbsgen.model.file.loops import LoopEndSection
 from mbsgen.model.file.tir import TyreFile
 from mbsgen.model.file.visual_sections import read_file_name
@@ -390,6 +391,30 @@ class TyreSection(Section):
         return Tyre("magic", known, self.speed, self.mirrored)
 
 
+class SphereLawSection(Section):
+    """A law of a sphere: OpenSim's HuntCrossleyForce, or its SmoothSphereHalfSpaceForce."""
+
+    type: Literal["hunt_crossley", "smooth"] = Field(examples=["smooth"])
+    static: OptionalNumberField = Field(
+        None, examples=[0.9], description="coefficient of friction where slip begins; else as of slip"
+    )
+    viscous: NumberField = Field(
+        SphereLaw.viscous, examples=[0.5], description="part of friction that grows with the slip, s/m"
+    )
+    share: NumberField = Field(
+        SphereLaw.share, examples=[0.5], description="part of the depth by which the sphere yields"
+    )
+    rounding: NumberField = Field(
+        SphereLaw.rounding, examples=[1e-5], description="of smooth: of depths, m**2, and of slips, m**2/s**2"
+    )
+    depth_slope: NumberField = Field(SphereLaw.depth_slope, examples=[300.0], description="of smooth, 1/m")
+    speed_slope: NumberField = Field(SphereLaw.speed_slope, examples=[50.0], description="of smooth, s/m")
+
+    def make(self) -> SphereLaw:
+        """Make the part of a Model."""
+        return SphereLaw(self.type, **{key: getattr(self, key) for key in SphereLaw("smooth").keys})
+
+
 class ContactSection(PlacementSection):
     """A contact of a sphere with a plane, sphere, box or capsule, or of a box, a wheel or a hull with a plane."""
 
@@ -418,6 +443,7 @@ class ContactSection(PlacementSection):
     )
     friction: GripSection | None = Field(None, examples=[{"coefficient": 0.8, "speed": 0.01}])
     tyre: TyreSection | None = Field(None, examples=[None], description="of a wheel, in place of friction")
+    law: SphereLawSection | None = Field(None, examples=[{"type": "smooth"}], description="of a sphere, as OpenSim's")
 
     @property
     def other(self) -> Other:
@@ -461,4 +487,5 @@ class ContactSection(PlacementSection):
             wheel,
             None if self.tyre is None else self.tyre.make(table),
             self.points,
+            None if self.law is None else self.law.make(),
         )
