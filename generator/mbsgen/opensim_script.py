@@ -3,7 +3,7 @@
 It reads JSON from stdin: `file`, and `states` of coordinates `q`, speeds `u` and accelerations `udot` by name. It
 prints JSON: `names` of coordinates; for each state `M` and `tau` in their order, `bodies` and `markers` by their places
 in the ground, and `paths`: lengths, rates and moment arms of all muscles and springs. Forces act only if they are
-springs and limits of coordinates, or contacts.
+passive ones of coordinates, contacts, ligaments, or forces between two points: `acting` lists the last two.
 """
 
 from __future__ import annotations
@@ -13,7 +13,10 @@ import json
 import sys
 from typing import Any
 
-ACTING = ("SpringGeneralizedForce", "CoordinateLimitForce", "SmoothSphereHalfSpaceForce", "HuntCrossleyForce")
+LINES = ("Ligament", "Blankevoort1991Ligament", "PointToPointSpring", "ExpressionBasedPointToPointForce")
+CONTACTS = ("SmoothSphereHalfSpaceForce", "HuntCrossleyForce")
+ACTING = ("SpringGeneralizedForce", "CoordinateLimitForce", "ExpressionBasedCoordinateForce", *CONTACTS, *LINES)
+ALONG = ("Muscle", "PathSpring", "PathActuator", "Ligament", "Blankevoort1991Ligament")
 FAR = 1e-3  # rad or m: beside this, a coordinate that a coupling moves is at another place
 
 
@@ -26,11 +29,14 @@ class Peer:
         self.model = osim.Model(file)
         forces = self.model.updForceSet()
         self.paths: dict[str, Any] = {}
+        self.acting: list[str] = []
         for k in range(forces.getSize()):
             force = forces.get(k)
             kind = force.getConcreteClassName()
             force.set_appliesForce(kind in ACTING)
-            cast = osim.Muscle.safeDownCast(force) or osim.PathSpring.safeDownCast(force)
+            cast = next((x for kind in ALONG if (x := getattr(osim, kind).safeDownCast(force)) is not None), None)
+            if kind in LINES:
+                self.acting.append(force.getName())
             if cast is not None:
                 self.paths[force.getName()] = cast
         self.state = self.model.initSystem()
@@ -98,7 +104,7 @@ def main() -> None:
     wanted = json.load(sys.stdin)
     peer = Peer(importlib.import_module("opensim"), wanted["file"])
     results = [peer.compute(state) for state in wanted["states"]]
-    print("\n" + json.dumps({"names": list(peer.coordinates), "states": results}))
+    print("\n" + json.dumps({"names": list(peer.coordinates), "acting": peer.acting, "states": results}))
 
 
 if __name__ == "__main__":

@@ -94,6 +94,7 @@ def compare_with_opensim(path: Path, choices: Choices, ask: Ask | None = None) -
     motion = _Motion(imported)
     states = [motion.draw(np.random.default_rng(seed)) for seed in range(STATES)]
     answer = ask(path, states)
+    motion.let_act(answer.get("acting", ()))
     elements = motion.elements
     misses: dict[str, float] = {}
     for state, result in zip(states, answer["states"], strict=True):
@@ -117,13 +118,19 @@ class _Motion:
         self._equations = explicit
         self.free = [x for x, joint in self._joints.items() if joint.follows is None and x not in explicit]
         opened = replace(model, constraints=(), loops=(), independent=(), assembly=())
-        self.tree, self._bare = build_tree(opened), build_tree(replace(opened, forces=(), signals=()))
+        self._opened, self.tree = opened, build_tree(opened)
+        self._bare = self.tree
         followers = {name for name, joint in self._joints.items() if joint.follows is not None}
         self.order = [body.joint.name for body in self.tree.bodies if body.joint.name not in followers]
         self.elements = self.tree.elements
         oblique = {x.name for x in model.forces if any(not wrap.is_sphere for wrap in x.wraps)}
         self._round = np.array([name in oblique for name in self.elements], dtype=bool)
         self._tapes: dict[str, Tape] = {}
+
+    def let_act(self, acting: Sequence[str]) -> None:
+        """Take only these lines of the file for inverse dynamics."""
+        kept = tuple(x for x in self._opened.forces if self.imported.labels[x.name] in acting)
+        self._bare = build_tree(replace(self._opened, forces=kept, signals=()))
 
     def draw(self, rng: np.random.Generator) -> State:
         """Draw a state."""
@@ -171,17 +178,19 @@ class _Motion:
             places = {**result["bodies"], **result["markers"]}
             wanted = np.array([places[self.imported.labels[frame.name]] for frame in frames])
             found["places"] = self._compute(self._tape("sensors"), at)["position"].reshape(-1), wanted.T.reshape(-1)
-        if self.elements:
-            paths = [result["paths"][self.imported.labels[name]] for name in self.elements]
+        known = [k for k, name in enumerate(self.elements) if self.imported.labels[name] in result["paths"]]
+        if known:
+            paths = [result["paths"][self.imported.labels[self.elements[k]]] for k in known]
             rates = self._tape("stretches")
             slopes = [self._compute(rates, {**at, "qd": column})["stretch"] for column in state.slopes.T]
             numbers = {
-                "lengths": (self._compute(self._tape("lengths"), at)["length"], [x["length"] for x in paths]),
-                "rates": (self._compute(rates, at)["stretch"], [x["rate"] for x in paths]),
-                "arms": (-np.array(slopes).T, [[-y for y in x["slopes"]] for x in paths]),
+                "lengths": (self._compute(self._tape("lengths"), at)["length"][known], [x["length"] for x in paths]),
+                "rates": (self._compute(rates, at)["stretch"][known], [x["rate"] for x in paths]),
+                "arms": (-np.array(slopes).T[known], [[-y for y in x["slopes"]] for x in paths]),
             }
             for key, (ours, theirs) in numbers.items():
-                for ending, chosen in (("", ~self._round), (AROUND, self._round)):
+                around = self._round[known]
+                for ending, chosen in (("", ~around), (AROUND, around)):
                     if chosen.any():
                         found[key + ending] = ours[chosen], np.array(theirs)[chosen]
         return found

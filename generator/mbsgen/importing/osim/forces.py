@@ -8,7 +8,9 @@ Simbody's step of degree 5, and damps while it pushes:
 
 Its numbers are in degrees where OpenSim counts the coordinate as an angle: a turn by a LinearFunction of slope 1 or -1.
 
-Source: OpenSim's documentation of CoordinateLimitForce, SpringGeneralizedForce and CoordinateActuator.
+An ExpressionBasedCoordinateForce is a formula of q and qdot.
+
+Source: OpenSim's documentation of these classes.
 """
 
 from __future__ import annotations
@@ -21,12 +23,12 @@ from mbsgen.documents import abbreviate, nearest
 from mbsgen.expressions import Expression, Name, Number, Operation, parse, substitute
 from mbsgen.importing.findings import Findings
 from mbsgen.importing.markup import Element
-from mbsgen.importing.osim.functions import write_number, write_shift
+from mbsgen.importing.osim.functions import read_formula, write_number, write_shift
 from mbsgen.model.model import FREE, ZERO, Law
 
 ACTUATORS = ("CoordinateActuator", "ActivationCoordinateActuator")
-SPRING, LIMIT = "SpringGeneralizedForce", "CoordinateLimitForce"
-READ = (*ACTUATORS, SPRING, LIMIT)
+SPRING, LIMIT, FORMULA = "SpringGeneralizedForce", "CoordinateLimitForce", "ExpressionBasedCoordinateForce"
+READ = (*ACTUATORS, SPRING, LIMIT, FORMULA)
 _TRUE, _FALSE = ("true", "1"), ("false", "0")
 
 
@@ -43,6 +45,7 @@ class Forces:
     findings: Findings
     springs: dict[str, list[Element]] = field(default_factory=dict)
     limits: dict[str, list[Element]] = field(default_factory=dict)
+    formulas: dict[str, list[tuple[Element, Expression]]] = field(default_factory=dict)
     efforts: dict[str, float] = field(default_factory=dict)  # the largest force of the actuators [N m or N]
 
     def read(self, element: Element, coordinates: Mapping[str, Element]) -> None:
@@ -59,11 +62,20 @@ class Forces:
             self.springs.setdefault(name, []).append(element)
         elif element.tag == LIMIT:
             self.limits.setdefault(name, []).append(element)
+        elif element.tag == FORMULA:
+            force = read_formula(element, {"q": "q", "qdot": "qd"}, self.findings)
+            if force is not None:
+                self.formulas.setdefault(name, []).append((element, force))
         else:
             optimal = abs(self._number(element, "optimal_force", 1.0))
             bounds = [self._bound(element, tag) for tag in ("min_control", "max_control")]
             effort = math.inf if None in bounds else optimal * max(abs(x) for x in bounds if x is not None)
             self.efforts[name] = self.efforts.get(name, 0.0) + effort
+
+    def list_passive(self, coordinate: str) -> list[Element]:
+        """List the forces on a coordinate that are no actuators."""
+        formulas = [element for element, _ in self.formulas.get(coordinate, [])]
+        return [*self.springs.get(coordinate, []), *self.limits.get(coordinate, []), *formulas]
 
     def find_effort(self, coordinate: str) -> float | None:
         """Return the largest force on a coordinate; None without a bound."""
@@ -82,6 +94,8 @@ class Forces:
             force = self._write_limit(limit, in_degrees=in_degrees)
             if force is not None:
                 total = force if total is None else Operation("+", total, force)
+        for _, force in self.formulas.get(coordinate, []):
+            total = force if total is None else Operation("+", total, force)
         if total is not None and size != 1:
             scaled = {name: Operation("/", Name(name), Number(size)) for name in ("q", "qd")}
             total = Operation("/", substitute(total, scaled), Number(size))

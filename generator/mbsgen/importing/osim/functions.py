@@ -11,13 +11,26 @@ Computations (1977), section 4.4.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from mbsgen.documents import abbreviate
-from mbsgen.expressions import FLOATS, Expression, Name, Number, Operation, evaluate, parse, substitute, write
+from mbsgen.expressions import (
+    FLOATS,
+    Expression,
+    ExpressionError,
+    Name,
+    Number,
+    Operation,
+    evaluate,
+    names,
+    parse,
+    substitute,
+    write,
+)
 from mbsgen.importing.closing import X
 from mbsgen.importing.findings import MAX_DIGITS, Findings, read_number
 from mbsgen.importing.markup import Element
@@ -26,6 +39,8 @@ from mbsgen.importing.poses import Array
 MAX_KNOTS = 100
 READ = ("Constant", "LinearFunction", "MultiplierFunction", "PiecewiseLinearFunction", "PolynomialFunction")
 SPLINES = ("SimmSpline", "NaturalCubicSpline", "natCubicSpline")  # the last ones are older names of the first
+_FORMULA = ("sqrt", "exp", "log", "sin", "cos", "tan", "asin", "acos", "atan", "tanh", "abs", "min", "max")
+_CALLS = re.compile(r"([A-Za-z_]\w*)\(")  # of OpenSim's expressions that mean the same here
 FUNCTIONS = (*READ, *SPLINES, "Sine")
 
 
@@ -74,6 +89,34 @@ class Sum:
 
 def _shrink(size: float) -> Expression:
     return Operation("/", Name(X), Number(size))
+
+
+def write_over(amount: Sum) -> Expression:
+    """Write an amount of one coordinate over x."""
+    total: Expression = Number(amount.constant)
+    for slope in amount.slopes.values():
+        total = Operation("+", total, Operation("*", Number(slope), Name(X)))
+    for _, curve in amount.curves:
+        total = Operation("+", total, curve)
+    return total
+
+
+def read_formula(element: Element, meanings: Mapping[str, str], findings: Findings) -> Expression | None:
+    """Read the <expression> of a force over some names, which stand for others; None with a warning."""
+    child = element.first("expression")
+    text = "0" if child is None else "".join(child.text.split())
+    unknown = sorted({*_CALLS.findall(text)} - {*_FORMULA})
+    try:
+        if unknown:
+            raise ExpressionError(f"{unknown[0][:40]}() is not read", "")
+        found = parse(text.replace("^", "**"))
+        strange = sorted(names(found) - {*meanings})
+        if strange:
+            raise ExpressionError(f"{strange[0][:40]} is none of {', '.join(meanings)}", "")
+    except ExpressionError as error:
+        findings.warn(element, f"its expression is not read, since {error.finding}: its force is left out")
+        return None
+    return substitute(found, {key: Name(x) for key, x in meanings.items()})
 
 
 def find_function(parent: Element) -> Element | None:

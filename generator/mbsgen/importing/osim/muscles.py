@@ -5,6 +5,10 @@ OpenSim widens such a range by 1e-5, and holds a point that moves where its coor
 De Groote and Fregly, Millard and Thelen have their own curves. A RigidTendonMuscle, and on demand the other two, get
 De Groote's, and keep their numbers as Moco's ModOpReplaceMusclesWithDeGrooteFregly2016 keeps them.
 
+A Ligament pulls by a curve of its length over the resting one, where it is longer. With the strain e over the slack
+length, a Blankevoort1991Ligament pulls with k e^2/(2 toe), from e = toe on with k (e - toe/2), and while it lengthens
+with its damping times the rate of e, which Simbody's step of degree 5 begins over a strain of 0.01.
+
 OpenSim changes Millard's curves: at an elastic tendon without damping of the fibres, active force is 0.1 at least, and
 slopes of force over velocity at the largest speeds are half of those near them at least; else both are 0.
 
@@ -18,27 +22,62 @@ import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from mbsgen.documents import abbreviate, nearest
-from mbsgen.expressions import Expression, Name, Number, Operation, fold, is_free_name, parse, substitute
+from mbsgen.expressions import (
+    FLOATS,
+    Expression,
+    Name,
+    Number,
+    Operation,
+    evaluate,
+    fold,
+    is_free_name,
+    parse,
+    substitute,
+)
 from mbsgen.importing.closing import X
 from mbsgen.importing.findings import Findings
 from mbsgen.importing.markup import Element
 from mbsgen.importing.osim.forces import is_on
 from mbsgen.importing.osim.frames import Frames, Mount
-from mbsgen.importing.osim.functions import Sum, find_function, read_function, write_number
+from mbsgen.importing.osim.functions import (
+    FUNCTIONS,
+    Sum,
+    find_function,
+    read_formula,
+    read_function,
+    write_number,
+    write_over,
+    write_spline,
+)
 from mbsgen.model.model import ZERO
 from mbsgen.model.muscle_curves import DEGROOTE, Curves, Millard, Thelen
 from mbsgen.model.muscles import LENGTH, LENGTH_RATE, Muscle
 
 MUSCLES = ("DeGrooteFregly2016Muscle", "Millard2012EquilibriumMuscle", "Thelen2003Muscle", "RigidTendonMuscle")
 PATH_SPRING = "PathSpring"
-PATHS = (*MUSCLES, PATH_SPRING)
+LIGAMENT, BLANKEVOORT, PATH_ACTUATOR = "Ligament", "Blankevoort1991Ligament", "PathActuator"
+PASSIVE = (PATH_SPRING, LIGAMENT, BLANKEVOORT)
+PATHS = (*MUSCLES, *PASSIVE, PATH_ACTUATOR)
+POINT_SPRING, POINT_FORCE = "PointToPointSpring", "ExpressionBasedPointToPointForce"
+PAIRS = (POINT_SPRING, POINT_FORCE)  # between two points
 POINTS = ("PathPoint", "ConditionalPathPoint", "MovingPathPoint")
 SURFACES = ("WrapCylinder", "WrapSphere")
 SIDES = ("x", "-x", "y", "-y", "z", "-z")
 WIDENING = 1e-5  # of the range of a point, rad or m
 _AXES = "xyz"
 _SPRING = parse(f"stiffness*max({LENGTH} - rest, 0)*(1 + dissipation*{LENGTH_RATE})")
+_LINEAR = parse(f"k*({LENGTH} - rest)")
+_STEP = "(min(max(strain*100, 0), 1))"
+_BLANKEVOORT = parse(
+    "stiffness*(min(max(strain, 0), toe)**2/(2*toe) + max(strain - toe, 0))"
+    f" + damping*max({LENGTH_RATE}, 0)/slack*{_STEP}**3*(10 - 15*{_STEP} + 6*{_STEP}**2)"
+)
+_LIGAMENT_X = (-5, 0.998, 0.999, 1, 1.1, 1.2, 1.3, 1.4, 1.5, 1.6, 1.601, 1.602, 5)  # OpenSim's default
+_LIGAMENT_Y = (0, 0, 0, 0, 0.035, 0.12, 0.26, 0.55, 1.17, 2, 2, 2, 2)
+_CLOSED = 1e-6  # the largest force of a ligament at its resting length, over its scale
 _NUMBERS: Mapping[str, tuple[str, float]] = {  # of all muscles
     "strength": ("max_isometric_force", 1000.0),
     "fibre": ("optimal_fiber_length", 0.1),
@@ -128,12 +167,13 @@ class Line:
     wraps: tuple[Surface, ...]
     force: Expression = ZERO
     muscle: Muscle | None = None
+    driven: str = ""  # the signal of an actuator
 
     @property
     def signals(self) -> tuple[str, ...]:
         """Return the signals that its muscle reads."""
         if self.muscle is None:
-            return ()
+            return (self.driven,) if self.driven else ()
         given = (self.muscle.activation, self.muscle.tendon_state)
         return tuple(x.name for x in given if isinstance(x, Name))
 
@@ -175,8 +215,13 @@ class Paths:
         if wraps is None:
             return None
         name = element.attributes.get("name", "") or element.tag
-        if element.tag == PATH_SPRING:
-            return Line(name, element, points, wraps, self._read_spring(element))
+        if element.tag == PATH_ACTUATOR:
+            signal = spell_signal(name)
+            force = Operation("*", Number(self._number(element, "optimal_force", 1.0)), Name(signal))
+            return Line(name, element, points, wraps, force, driven=signal)
+        if element.tag in PASSIVE:
+            law = self._read_law(element)
+            return None if law is None else Line(name, element, points, wraps, law)
         return Line(name, element, points, wraps, muscle=self._read_muscle(element, name))
 
     def _read_wraps(self, element: Element, path: Element, points: int) -> tuple[Surface, ...] | None:
@@ -305,6 +350,68 @@ class Paths:
         finding = f"there is no coordinate {abbreviate(name)}" if name else f"no {tag}"
         self.findings.fault(element if child is None else child, finding, remedy)
         return None
+
+    def read_pair(self, element: Element) -> Line | None:
+        """Read a force of PAIRS; None, with a notice or faults, where there is none."""
+        if not is_on(element):
+            self.findings.tell(element, "it is switched off in the file: left out")
+            return None
+        ends = [self._find_end(element, k) for k in (1, 2)]
+        read = self.frames.read_vector
+        points = [Point(mount, read(element, f"point{k}")) for k, mount in enumerate(ends, 1) if mount]
+        if len(points) < 2:
+            return None
+        if element.tag == POINT_SPRING:
+            given = {"k": self._number(element, "stiffness", 1.0), "rest": self._number(element, "rest_length", 0.0)}
+            law: Expression | None = substitute(_LINEAR, {key: Number(x) for key, x in given.items()})
+        else:
+            law = read_formula(element, {"d": LENGTH, "ddot": LENGTH_RATE}, self.findings)
+        name = element.attributes.get("name", "") or element.tag
+        return None if law is None else Line(name, element, tuple(points), (), law)
+
+    def _find_end(self, element: Element, k: int) -> Mount | None:
+        socket, body = element.first(f"socket_body{k}"), element.first(f"body{k}")
+        if socket is None and body is not None:
+            return self.frames.find_body(body, element)
+        return self.frames.find(socket, element)
+
+    def _read_law(self, element: Element) -> Expression | None:
+        """Read the tension of a spring or a ligament; None with a warning or a fault."""
+        if element.tag == PATH_SPRING:
+            return self._read_spring(element)
+        return self._read_ligament(element) if element.tag == LIGAMENT else self._read_blankevoort(element)
+
+    def _read_ligament(self, element: Element) -> Expression | None:
+        rest, scale = self._number(element, "resting_length", 0.0), self._number(element, "pcsa_force", 0.0)
+        if rest <= 0:
+            at = element.first("resting_length") or element
+            self.findings.fault(at, f"resting_length is {rest:g}", "give more than 0")
+            return None
+        held = element.first("force_length_curve")
+        known = [x for x in element.children if x.tag in FUNCTIONS]
+        function = find_function(held) if held is not None and held.children else next(iter(known), None)
+        if function is None:
+            total = write_spline(np.array(_LIGAMENT_X, dtype=float), np.array(_LIGAMENT_Y, dtype=float))
+        else:
+            total = write_over(read_function(function, [X], self.findings))
+        begin: float = evaluate(total, {X: 1.0}, FLOATS)
+        if abs(begin) > _CLOSED:
+            text = "its curve is not 0 at its resting length, where its force jumps, which is not read: it is left out"
+            self.findings.warn(element, text)
+            return None
+        stretch = parse(f"max({LENGTH}/{write_number(rest)}, 1)")
+        return Operation("*", Number(scale), substitute(total, {X: stretch}))
+
+    def _read_blankevoort(self, element: Element) -> Expression | None:
+        tags = {"stiffness": ("linear_stiffness", 1.0), "toe": ("transition_strain", 0.06)}
+        tags |= {"damping": ("damping_coefficient", 0.003), "slack": ("slack_length", 0.0)}
+        numbers = {key: self._number(element, *pair) for key, pair in tags.items()}
+        for key, value in numbers.items():
+            self._check(element, tags[key][0], value, may_vanish=key in ("stiffness", "damping"))
+        if numbers["toe"] <= 0 or numbers["slack"] <= 0:
+            return None
+        strain = parse(f"{LENGTH}/{write_number(numbers['slack'])} - 1")
+        return substitute(_BLANKEVOORT, {"strain": strain, **{key: Number(x) for key, x in numbers.items()}})
 
     def _read_spring(self, element: Element) -> Expression:
         given = {"stiffness": "stiffness", "rest": "resting_length", "dissipation": "dissipation"}

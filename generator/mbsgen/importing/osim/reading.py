@@ -42,7 +42,7 @@ from mbsgen.importing.osim.joints import (
     list_axes,
     list_coordinates,
 )
-from mbsgen.importing.osim.muscles import MUSCLES, PATHS, SHAPES, Line, Paths, Point, Surface
+from mbsgen.importing.osim.muscles import MUSCLES, PAIRS, PATHS, SHAPES, Line, Paths, Point, Surface
 from mbsgen.importing.osim.vocabulary import VOCABULARY
 from mbsgen.importing.poses import ORIGIN, Pose, write_axis, write_triple
 from mbsgen.importing.solids import NOTHING, Solid
@@ -158,6 +158,7 @@ class _File:
             self._frames.surfaces,
         )
         found = [paths.read(x) for x in self._list("ForceSet") if x.tag in PATHS]
+        found += [paths.read_pair(x) for x in self._list("ForceSet") if x.tag in PAIRS]
         self._lines = [line for line in found if line is not None]
         touching = Touching(self._model, self._frames, self._findings)
         touches = [each for x in self._list("ForceSet") if x.tag in CONTACTS for each in touching.read(x)]
@@ -476,7 +477,7 @@ class _File:
     def _is_plain(self, joint: _Joint, near: str) -> bool:
         """Return whether nothing in the file concerns single coordinates of a joint of several."""
         forces = self._forces
-        named = {*self._held, *self._replaced, *forces.springs, *forces.limits, *forces.efforts}
+        named = {*self._held, *self._replaced, *forces.springs, *forces.limits, *forces.formulas, *forces.efforts}
         coupled = {name for x in self._list("ConstraintSet") for each in x.children for name in each.text.split()}
         is_possible = joint.element.tag == "BallJoint" or near == GROUND
         return is_possible and not (named | coupled).intersection(joint.coordinates)
@@ -497,7 +498,7 @@ class _File:
             element,
             name=coordinate,
             pose=axis.at(constant),
-            actuated=coordinate in efforts if efforts or self._lines else not is_base,
+            actuated=coordinate in efforts if efforts or self._is_driven else not is_base,
             lower=None if lower is None else lower * size,
             upper=None if upper is None else upper * size,
             law=self._forces.make_law(coordinate, size, in_degrees=coordinate in self._angles),
@@ -644,6 +645,11 @@ class _File:
             return "q_"
         return f"q_{re.sub(r'[^A-Za-z0-9_]', '_', self._draft.find_joint(coordinate))}"
 
+    @property
+    def _is_driven(self) -> bool:
+        """Return whether muscles or other actuators along paths move the model."""
+        return any(line.signals for line in self._lines)
+
     # --- contacts ----------------------------------------------------------------------------------------------------
 
     def _add_contact(self, touch: Touch) -> None:
@@ -713,7 +719,7 @@ class _File:
         self._draft.closing.closures.append(Closure(joint.name, cut, first, second, joint.element, one, other))
         self._findings.tell(joint.element, "it closes a loop: it has no coordinate")
         for name in joint.coordinates:
-            for element in (*self._forces.springs.get(name, []), *self._forces.limits.get(name, [])):
+            for element in self._forces.list_passive(name):
                 self._findings.warn(element, "it acts on a joint that closes a loop, and is left out")
 
     def _couple(self, element: Element, own: str, amount: Sum) -> None:

@@ -6,10 +6,10 @@ Source: OpenSim's documentation of its classes and their properties.
 from __future__ import annotations
 
 from mbsgen.importing.osim.contacts import BLUNT, HALF_SPACE, PARAMETERS, SETS, SMOOTH, SPHERE
-from mbsgen.importing.osim.forces import ACTUATORS, LIMIT, SPRING
+from mbsgen.importing.osim.forces import ACTUATORS, FORMULA, LIMIT, SPRING
 from mbsgen.importing.osim.functions import FUNCTIONS
 from mbsgen.importing.osim.joints import JOINTS
-from mbsgen.importing.osim.muscles import PATHS, POINTS, SHAPES, SURFACES
+from mbsgen.importing.osim.muscles import PAIRS, PATHS, POINTS, SHAPES, SURFACES
 from mbsgen.importing.vocabulary import Part, Place, Vocabulary, place
 
 _SHOWN = "VisibleObject FrameGeometry frame_geometry attached_geometry Appearance display"
@@ -18,17 +18,13 @@ _BOTH = " ".join(f"{name}_body_{k}=value" for name in ("location", "orientation"
 _FUNCTIONS = " ".join(f"{name}=function" for name in FUNCTIONS)
 _MUSCLES = (
     "Thelen2003Muscle_Deprecated Schutte1993Muscle_Deprecated Delp1990Muscle_Deprecated Millard2012AccelerationMuscle "
-    "McKibbenActuator PathActuator"
+    "McKibbenActuator"
 )
 _CONTACTS = "ElasticFoundationForce MeyerFregly2016Force"
 _MATERIAL = " ".join(
     f"{x}=value" for x in ["stiffness", "dissipation", "static_friction", "dynamic_friction", "viscous_friction"]
 )
-_SPRINGS = (
-    "BushingForce FunctionBasedBushingForce ExpressionBasedBushingForce PointToPointSpring Ligament "
-    "Blankevoort1991Ligament ExpressionBasedPointToPointForce ExpressionBasedCoordinateForce "
-    "TwoFrameLinker CoordinateLinearStop"
-)
+_SPRINGS = "BushingForce FunctionBasedBushingForce ExpressionBasedBushingForce TwoFrameLinker CoordinateLinearStop"
 _ACTUATORS = (
     "TorqueActuator PointActuator PointToPointActuator BodyActuator ClutchedPathSpring SpatialForce "
     "PrescribedForce ExternalForce StationPlaneContactForce"
@@ -113,7 +109,9 @@ PLACES: dict[str, Place] = {
     "forces": place(read="@name objects=forces_in", idle="groups"),
     "forces_in": place(
         read=" ".join(f"{name}*=actuator" for name in ACTUATORS)
-        + f" {SPRING}*=spring {LIMIT}*=limit {SMOOTH}*=smooth {BLUNT}*=blunt "
+        + f" {SPRING}*=spring {LIMIT}*=limit {FORMULA}*=formula {SMOOTH}*=smooth {BLUNT}*=blunt "
+        + " ".join(f"{name}*=pair" for name in PAIRS)
+        + " "
         + " ".join(f"{name}*=line" for name in PATHS),
         warned=_out(_MUSCLES, "muscles are not part of the model: its force is left out")
         | _out(_CONTACTS, "this contact is not part of the model; describe it under contacts")
@@ -128,6 +126,11 @@ PLACES: dict[str, Place] = {
     "spring": place(
         read="@name appliesForce=value isDisabled=value coordinate=value stiffness=value rest_length=value "
         "viscosity=value"
+    ),
+    "formula": place(read="@name appliesForce=value isDisabled=value coordinate=value expression=value"),
+    "pair": place(
+        read="@name appliesForce=value isDisabled=value socket_body1=value socket_body2=value body1=value body2=value "
+        "point1=value point2=value stiffness=value rest_length=value expression=value"
     ),
     "limit": place(
         read="@name appliesForce=value isDisabled=value coordinate=value upper_stiffness=value upper_limit=value "
@@ -163,8 +166,9 @@ PLACES: dict[str, Place] = {
         "tendon_strain_at_one_norm_force=value FmaxMuscleStrain=value FiberForceLengthCurve=curve "
         "TendonForceLengthCurve=curve ActiveForceLengthCurve=curve ForceVelocityCurve=curve resting_length=value "
         "stiffness=value dissipation=value KshapeActive=value KshapePassive=value Af=value Flen=value "
-        "fv_linear_extrap_threshold=value",
-        idle="min_control max_control optimal_force default_activation default_fiber_length "
+        "fv_linear_extrap_threshold=value pcsa_force=value force_length_curve=functions linear_stiffness=value "
+        f"transition_strain=value damping_coefficient=value slack_length=value optimal_force=value {_FUNCTIONS}",
+        idle="min_control max_control default_activation default_fiber_length "
         "default_normalized_tendon_force activation_time_constant deactivation_time_constant "
         "ignore_activation_dynamics tendon_compliance_dynamics_mode activation_dynamics_smoothing minimum_activation "
         "maximum_pennation_angle "

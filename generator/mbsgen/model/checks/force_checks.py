@@ -264,7 +264,7 @@ def _check_contact(place: Place, contact: Contact, valuation: Valuation) -> Iter
 
 
 def _check_law(place: Place, contact: Contact, law: SphereLaw, valuation: Valuation) -> Iterator[Finding]:
-    """Find what is wrong with a law of a sphere, and with what it is beside."""
+    """Find what is wrong with a law of a sphere, and numbers that it has no use for."""
     at, other = (*place, "law"), contact.other
     is_ball = isinstance(other, Plane) or (isinstance(other, Sphere) and not other.inside)
     if contact.has_points or contact.wheel is not None or contact.radius == ZERO or not is_ball:
