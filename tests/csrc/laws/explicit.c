@@ -297,6 +297,33 @@ static void friction(void)
     LAW("without modes there is none", brake(&plant, 0) == 0);
 }
 
+static casadi_real earliest, latest;
+
+static int note_time(casadi_real t)
+{
+    earliest = fmin(earliest, t), latest = fmax(latest, t);
+    return 0;
+}
+
+/* An event is sought at times of its step alone, from its start to its end. */
+static void times_of_events(void)
+{
+    casadi_real h = 2, x[4] = {1, 0, 0, 0}, y[4];
+    mbs_run r;
+    anew(1);
+    push[0] = -1, manner.atol = 1e9;
+    r = open_here();
+    evaluate(&r, 5, 0, x), step(&r, 5, h, x, 1, y);
+    manner.inputs = note_time, earliest = 99, latest = -99;
+    LAW("an event has inputs", look(&r, 5, &h, x, y) == MBS_EVENT && fabs(h - sqrt(2)) < 1e-14);
+    LAW("of all times of its step", earliest == 5 && latest == 7);
+    x[0] = 0.5 + 1e-3, x[2] = -1, push[0] = 1, h = 2;
+    r = open_here();
+    evaluate(&r, 5, 0, x), step(&r, 5, h, x, 1, y);
+    earliest = 99, latest = -99;
+    LAW("and where there is none", look(&r, 5, &h, x, y) == 0 && earliest == 5 && latest == 7);
+}
+
 /* The height q0 = 1 - t^2 / 2 falls to the floor at t = sqrt(2); a step of two seconds ends at -1. */
 static void events(void)
 {
@@ -640,6 +667,7 @@ int main(void)
     guards();
     friction();
     events();
+    times_of_events();
     places();
     impacts();
     adaptive();
