@@ -36,7 +36,7 @@ QUICK, CORE, REST_MARK = "quick", "core", "rest"
 
 # Folders and files of the tests that run in `make rest` alone, by kind; the others of a kind are marked by their times.
 REST: Mapping[str, tuple[str, ...]] = {
-    "documents and site": ("test_documentation.py", "test_notebooks.py", "test_website.py"),
+    "documents and site": ("test_documentation.py", "test_notebooks.py", "test_website.py", "test_browser.py"),
     "packages": ("test_packaging.py",),
     "golden files of many models": ("test_golden.py",),
     "random inputs": ("test_fuzz.py",),

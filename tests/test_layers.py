@@ -36,6 +36,7 @@ MBSGEN = Package(
     layers=(
         "errors resources roles style algebra",
         "manifest expressions",
+        "machine",
         "documents help",
         "robots",
         "model",
@@ -82,6 +83,7 @@ MBSGEN = Package(
         "subjects.schema",
         "subjects",
         "pipeline",
+        "browser",
         "commands",
         "cli",
         "__main__",
@@ -287,6 +289,7 @@ MBSRUN = Package(
         "mbsgen.errors",
         "mbsgen.resources",
         "mbsgen.manifest",
+        "mbsgen.machine",
         "mbsgen.roles",
         "mbsgen.expressions",
         "mbsgen.help",

@@ -14,9 +14,11 @@ from mkdocs.config import load_config
 from rich.progress import Progress
 
 from website import commands, forked, gallery, messages, pages, reference
+from website.browser import bundle
 from website.examples import EXAMPLES, Example
 
 ROOT = Path(__file__).parents[1]
+SWING_UP = "play_cart_pole"  # the example that swings up, with a solver in its page
 
 
 @click.command(help="Build the site in the folder OUT: pages, gallery, references. Examples that ran before are kept.")
@@ -52,6 +54,7 @@ def main(out: Path, only: tuple[str, ...], *, quick: bool) -> None:
     listed = [] if quick else [{"Python": reference.PAGES}]
     if not quick:
         reference.write(source)
+        _write_browser(source, out.parent / f"{out.name}-browser", results)
     config = load_config(
         str(Path(__file__).with_name("mkdocs.yml")),
         docs_dir=str(source),
@@ -65,6 +68,18 @@ def main(out: Path, only: tuple[str, ...], *, quick: bool) -> None:
     )
     build(config)
     click.echo(f"wrote {out / 'index.html'}")
+
+
+def _write_browser(source: Path, work: Path, results: Sequence[gallery.Result]) -> None:
+    """Write the page that generates in a browser, where the programs that make it are installed."""
+    pages = (x.folder / "build" / "cart_pole.html" for x in results if x.example.name == SWING_UP)
+    try:
+        bundle.write(source / bundle.FOLDER, work, next(pages, None))
+    except bundle.BundleError as error:
+        shutil.rmtree(source / bundle.FOLDER, ignore_errors=True)
+        click.echo(f"the site lacks the page that generates in a browser: {error}", err=True)
+    else:
+        bundle.link(source / "playground.md")
 
 
 def _run(examples: Sequence[Example], runs: Path, programs: Path) -> list[gallery.Result]:

@@ -8,7 +8,8 @@
 //   model.move(0, 0.3);                           // one coordinate, with the loops closed
 //
 // Numbers lie in the module's own memory, behind everything that it uses itself. Results are those of the C in double
-// precision, without fused multiply-add; nothing is computed by the browser's own functions.
+// precision, without fused multiply-add. Compiled C brings its own functions; a module that was written without a
+// compiler imports those that it lacks, other than sine and cosine, from Math.
 
 const decode = (text) => Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
 
@@ -32,7 +33,7 @@ class Memory { // of a module: places for numbers, handed out once
 }
 
 async function loadModel(data) {
-  const { instance } = await WebAssembly.instantiate(decode(data.module), {});
+  const { instance } = await WebAssembly.instantiate(decode(data.module), { math: Math });
   const memory = new Memory(instance), places = {}, functions = {};
   for (const [role, size] of Object.entries(data.sizes)) places[role] = memory.take(8 * Math.max(size, 1));
   for (const [name, told] of Object.entries(data.functions)) {
