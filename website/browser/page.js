@@ -75,7 +75,7 @@ byId("mechanism").addEventListener("load", () => { // begin to move, at a push
   const begin = () => {
     if (inner !== byId("mechanism").contentDocument) return;
     if (!inner.documentElement.dataset.ready) { setTimeout(begin, 20); return; }
-    if (isChanged) inner.getElementById("push").click();
+    for (let k = 0; isChanged && k < 4; k++) inner.getElementById("push").click();
     inner.getElementById("run").click();
     document.documentElement.dataset.moving = inner.title;
   };

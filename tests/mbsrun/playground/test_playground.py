@@ -423,7 +423,7 @@ def test_mechanisms_and_controllers_that_do_not_fit_are_refused(
 def test_places_of_nonzeros_are_in_columns(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nonzeros at their places in column-major order are the dense result: of matrices that are not symmetric, too."""
     monkeypatch.setattr(machine, "compile_module", lambda *_: b"")
-    monkeypatch.setattr(machine, "LOOPED", ("loop_jacobian",))
+    monkeypatch.setattr("mbsgen.machine.LOOPED", ("loop_jacobian",))
     kernels = load(ROOT / "models" / "slider_crank.yaml", extent=EXTENT)
     described = machine.describe_machine(kernels)["functions"]["loop_jacobian"]["results"]
     state = {"q": kernels.manifest.pose, "qd": np.ones(3)}
