@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import itertools
+import subprocess
+import sys
 from types import SimpleNamespace
 from typing import Any
 
@@ -226,3 +228,13 @@ def test_complements_share_no_entry() -> None:
     found = _complement(nearly, -np.ones(2))
     assert found is not None
     assert nearly @ found == pytest.approx([1.0, 1.0])
+
+
+def test_factors_that_live_as_long_as_the_interpreter_end_in_silence() -> None:
+    """Modules are gone before the last objects are; the library is called before that."""
+    lines = (
+        "import numpy, scipy.sparse, mbsrun.ocp.optima.symmetric as symmetric",
+        "numpy.kept = symmetric.Factors(scipy.sparse.csc_array(numpy.eye(2))), symmetric",
+    )
+    ended = subprocess.run([sys.executable, "-c", "\n".join(lines)], capture_output=True, text=True, check=True)
+    assert (ended.stdout, ended.stderr) == ("", "")

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ctypes
 from functools import cache
+from weakref import finalize
 
 import numpy as np
 from scipy import sparse
@@ -84,6 +85,7 @@ class Factors:
         self._library.ma97_default_control_d(ctypes.byref(self._settings))
         self._settings.zero, self._settings.threshold = zero, THRESHOLD
         self._pattern, self._factors = ctypes.c_void_p(), ctypes.c_void_p()
+        finalize(self, _release, self._library, self._pattern, self._factors)  # before an interpreter ends, too
         values: Array = np.ascontiguousarray(scaled.data)
         system = _point(start, _Ints), _point(rows, _Ints), _point(values, _Doubles)
         self._library.ma97_analyse_d(
@@ -94,10 +96,6 @@ class Factors:
         )
         self.is_singular = self._report.flag != 0
         self.negative = int(self._report.negative)  # eigenvalues
-
-    def __del__(self) -> None:
-        if hasattr(self, "_factors"):
-            self._library.ma97_finalise_d(self._by("pattern"), self._by("factors"))
 
     def solve(self, right: Array) -> Array:
         """Return K^-1 times a vector, or times the columns of a matrix."""
@@ -139,6 +137,10 @@ class Factors:
 
     def _by(self, name: str) -> object:
         return ctypes.byref(getattr(self, f"_{name}"))
+
+
+def _release(library: ctypes.CDLL, pattern: ctypes.c_void_p, factors: ctypes.c_void_p) -> None:
+    library.ma97_finalise_d(ctypes.byref(pattern), ctypes.byref(factors))
 
 
 def _point(array: object, kind: object) -> object:
