@@ -105,7 +105,7 @@ class Plant:
         spacing = (end - start) / FINE
         for first, last in self._cut(start, end):
             qd = self._kick(first, q, qd)
-            settings = replace(self.trial.integration, duration=last - first, output_step=min(spacing, last - first))
+            settings = replace(self.trial.integration, duration=last - first, output_step=spacing)
             motion = simulate(self.kernels, self._drive(first, u), q, qd, settings)
             times.append(first + motion.t[1:])
             motions.append((motion.q[1:], motion.qd[1:]))

@@ -175,8 +175,9 @@ def test_numbers_without_a_bound_are_infinite_and_none_is_a_mark() -> None:
     for found in read(sources, sources.values):
         assert not (np.isfinite(found) & (np.abs(found) > 1e6)).any()
     assert all(abs(x) < MARK or np.isinf(x) for x in sources.constants)
-    lower, upper = sources.values[sources.lower], sources.values[sources.upper]
-    assert (lower <= upper).all()
+    for found in (sources, make("late").find(LATE)):
+        lower, upper = found.values[found.lower], found.values[found.upper]
+        assert ((lower <= upper) & (lower < np.inf) & (upper > -np.inf)).all()
 
 
 def test_histories_are_of_inputs_that_are_late_or_have_rates() -> None:

@@ -22,6 +22,7 @@ from mbsrun.tracking.loop import INSIDE, _Loop
 from mbsrun.tracking.pictures import _draw_held, _draw_measure, _draw_pair, _shorten, draw_times
 from mbsrun.tracking.solving import SolvingController, _begin
 from mbsrun.tracking.trial import Horizon
+from tests.mbsrun.ocp.plants import push
 
 Array = NDArray[np.float64]
 NOISE = Noise(np.array([0.5]), np.array([0.25]), np.array([2.0]), seed=7)
@@ -68,6 +69,43 @@ def test_a_period_keeps_ten_states_and_follows_its_parabola(puck: Mechanism) -> 
     assert found.qd[:, 0] == pytest.approx([-1.0, *(2 + 2 * s)], abs=1e-12)
     assert (found.states.shape, found.is_kept, found.halt) == ((11, 0), True, None)
     assert found.drift == pytest.approx(0.0, abs=1e-12)
+
+
+def test_states_of_a_problem_go_on_through_a_kick(puck: Mechanism) -> None:
+    """x'' = u/2, s' = x, r' = t of a plan that begins with the period: both are integrals over its two pieces."""
+    problem = replace(
+        push(4), states=(State("s", "q_x"), State("r", "t")), start_q=(0.0,), start_qd=(0.0,)
+    )  # fmt: skip
+    trial = replace(TRIAL, kicks=(Kick(0.53, ((0, 3.0),)),), states=("s", "r"))
+    plant = Plant(puck, trial, problem)
+    found = plant.advance(np.array([0.5]), np.array([-1.0]), np.array([7.0, 9.0]), 0.5, 0.6, np.array([4.0]))
+    x, after = found.t - 0.5, np.maximum(found.t - 0.53, 0.0)
+    assert (np.diff(found.t) > 0).all()
+    assert found.t[[0, -1]] == pytest.approx([0.5, 0.6])
+    assert found.q[:, 0] == pytest.approx(0.5 - x + x**2 + 3 * after, abs=1e-10)
+    assert found.states[:, 0] == pytest.approx(7 + 0.5 * x - x**2 / 2 + x**3 / 3 + 3 * after**2 / 2, abs=1e-9)
+    assert found.states[:, 1] == pytest.approx(9 + x**2 / 2, abs=1e-9)
+    assert found.halt is None
+
+
+def test_the_drift_of_a_period_is_the_sum_of_its_pieces(puck: Mechanism, monkeypatch: pytest.MonkeyPatch) -> None:
+    """At the end of each; unknown energy is an infinite drift, and one lossy piece makes the period lossy."""
+    drifts = {0.25: ([0.0, 9.0, 1.0], True), 0.5: ([0.0, 7.0, -3.0], True), 0.75: ([0.0, 0.0, 0.5], False)}
+
+    def simulate(_kernels: Any, _drive: Any, q: Array, qd: Array, settings: Settings) -> Any:
+        energy = drifts.get(settings.duration)
+        of = None if energy is None else SimpleNamespace(drift=np.array(energy[0]), is_kept=energy[1])
+        t = np.array([0.0, settings.duration / 2, settings.duration])
+        return SimpleNamespace(t=t, q=np.tile(q, (3, 1)), qd=np.tile(qd, (3, 1)), energy=of, halt=None)
+
+    monkeypatch.setattr("mbsrun.tracking.plant.simulate", simulate)
+    for end, kick, drift, is_kept in (
+        (0.75, 0.25, -2.0, True), (1.25, 0.5, -2.5, False), (1.25, 0.75, -2.5, False), (2.25, 0.5, np.inf, False)
+    ):  # fmt: skip
+        plant = Plant(puck, replace(TRIAL, kicks=(Kick(kick, ()),)))
+        found = plant.advance(np.zeros(1), np.zeros(1), np.zeros(0), 0.0, end, np.zeros(1))
+        assert (found.drift, found.is_kept) == (drift, is_kept)
+        assert found.t.tolist() == [0.0, kick / 2, kick, (kick + end) / 2, end]
 
 
 def test_states_beyond_bounds_are_put_just_inside() -> None:

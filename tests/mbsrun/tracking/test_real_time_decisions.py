@@ -107,6 +107,13 @@ def test_each_solve_begins_at_the_measured_state_from_the_plan_moved_ahead() -> 
     assert called.calls == [("solve", False), ("solve", False), *["shift"] * 3, ("solve", True), ("solve", True)]
 
 
+def test_states_that_nothing_measures_stay_as_they_are_in_the_data() -> None:
+    called = Called()
+    called.data["start_states"][:] = 7.0
+    start(called).feedback(np.array([1.0]), np.array([2.0]))
+    assert called.data["start_states"].tolist() == [7.0]
+
+
 def test_steps_in_real_time_are_prepared_once_and_made_as_often_as_asked() -> None:
     """In periods of half an interval, every other one moves the plan ahead; the first plan is solved for."""
     called = Called()
