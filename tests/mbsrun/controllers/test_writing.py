@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -12,10 +13,18 @@ import pytest
 
 from mbsrun.controllers.arrays import INFINITE, Arrays, repeat, split, write_real
 from mbsrun.controllers.making import choose_prediction
-from mbsrun.controllers.writing import Design, choose_barrier, scale_cost, tag_names, write_files, write_short
+from mbsrun.controllers.writing import (
+    Design,
+    _describe_histories,
+    choose_barrier,
+    scale_cost,
+    tag_names,
+    write_files,
+    write_short,
+)
 from mbsrun.ocp.evaluation.stages.calls import name_called
 from mbsrun.ocp.evaluation.stages.tables import KernelFunction
-from mbsrun.ocp.problem.problem import Cost, SolverOptions, Term
+from mbsrun.ocp.problem.problem import Bounds, Cost, Delay, SolverOptions, Term
 from tests.mbsrun.controllers.built import LATE, make
 from tests.mbsrun.ocp.plants import push
 from tests.mbsrun.peer import double_integrator
@@ -143,6 +152,28 @@ def test_commands_move_up_and_bound_the_input_that_is_given_now() -> None:
     assert f"memmove(c->numbers + {before}, c->numbers + {before + 1}, 1 * sizeof(real));" in text
     assert f"c->numbers[{before + 1}] = c->numbers[{given}];" in text
     assert "acting[]" not in write("free time")["push.c"]
+
+
+def test_histories_of_several_inputs_lie_one_after_the_other() -> None:
+    """Two commands of the first, one of the second, whose rate alone is bounded; inputs are numbered by stage."""
+    free = (-np.inf, np.inf)
+    problem = replace(
+        push(4), delays=(Delay("input", 0, 0.5),), bounds=Bounds((free,), (free,), (free,) * 2, (free, (-1.0, 1.0)))
+    )  # fmt: skip
+    places = {"inputs_before": 10, "inputs_given": 20, "input_rates_lower": 30, "input_rates_upper": 40}
+    layout = SimpleNamespace(inputs=np.arange(8).reshape(4, 2), extras=SimpleNamespace(controls=np.zeros((4, 0), int)))
+    own: Any = SimpleNamespace(
+        problem=problem, sources=SimpleNamespace(place=places.__getitem__),
+        transcription=SimpleNamespace(layout=layout), tables=SimpleNamespace(variables=np.arange(8)[::-1]),
+    )  # fmt: skip
+    found = _describe_histories(own)
+    assert found is not None
+    assert [(x.place, x.second, x.last, x.kept, x.given) for x in found.inputs] == [
+        (10, 11, 11, 1, 20),
+        (12, 13, 12, 0, 21),
+    ]
+    assert [(x.variable, x.before, x.lower, x.upper) for x in found.limits] == [(6, 12, 30, 40)]
+    assert (found.given, found.acting) == (20, (2, 0))
 
 
 def test_a_model_predicts_from_a_state_that_holds_its_coordinates_first() -> None:

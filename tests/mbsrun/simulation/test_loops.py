@@ -206,6 +206,23 @@ def test_the_rods_force_is_the_pendulums(pendulum: Mechanism) -> None:
     assert np.allclose(motion.closure.multipliers[:, 0], 3 * 9.81 * motion.q[:, 1], rtol=0, atol=1e-6)
 
 
+def test_the_record_of_a_loop_is_its_gaps_at_every_state(pendulum: Mechanism) -> None:
+    """The rod opens by the drift of coarse steps; the most of all steps counts the ones that no output shows."""
+    motion = swing(pendulum, duration=1.0, method="euler", step=0.01, loops=Keeping.BAUMGARTE, output_step=0.35)
+    closure, own = Closure(pendulum), motion.closure
+    assert own is not None
+    assert motion.t == pytest.approx([0.0, 0.35, 0.7, 1.0])
+    gaps, rates = np.abs(closure.gaps(motion.q)), np.abs(closure.rates(motion.q, motion.qd))
+    assert own.position.tolist() == gaps.max(axis=1).tolist()
+    assert own.velocity.tolist() == rates.max(axis=1).tolist()
+    assert own.position.max() > 1e-6
+    every = swing(pendulum, duration=1.0, method="euler", step=0.01, loops=Keeping.BAUMGARTE, output_step=0.01).closure
+    assert every is not None
+    assert own.most == pytest.approx((every.position.max(), every.velocity.max()), rel=1e-12)
+    assert own.most[1] > own.velocity.max()
+    assert own.driving.shape == (4, 0)
+
+
 def drive_angle(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return 0.3 + 0.5 sin(2 t) with its derivatives."""
     return 0.3 + 0.5 * np.sin(2 * t), np.cos(2 * t), -2 * np.sin(2 * t)

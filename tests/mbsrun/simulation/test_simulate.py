@@ -140,6 +140,16 @@ def test_an_adaptive_method_takes_no_more_steps_than_it_may(bench: Mechanism, me
     assert 0.5 < short.t[-1] == short.halt.time < 1.0
 
 
+def test_inputs_at_a_jump_are_the_next_ones(bench: Mechanism) -> None:
+    """One row of inputs at each time; no state comes twice."""
+    values = np.array([1.0, 2.0, 3.0])[:, None] * [0.25, 0.5, 0.75, 1.0]
+    motion = simulate(
+        bench, hold_steps([0, 0.25, 0.5, 1.0], values), [1, 0, 0], [0, 0, 0], Settings(1.0, output_step=0.125)
+    )
+    assert motion.t == pytest.approx(np.arange(9) / 8)
+    assert motion.inputs == pytest.approx(values[[0, 0, 1, 1, 2, 2, 2, 2, 2]])
+
+
 @pytest.mark.parametrize("method", FIXED)
 def test_steps_are_counted_over_all_pieces_of_the_inputs(bench: Mechanism, method: str) -> None:
     """Each of three pieces takes a step at least; two steps end with the second."""
