@@ -380,6 +380,9 @@ def test_an_expression_that_reads_an_unknown_part_reads_where_it_is_known() -> N
     assert len(read("ref_walk_y", gapped, horizon=0.31)) == 1
     (finding,) = read("ref_walk_x", gapped, horizon=1.5)
     assert "unknown at 1 to 1.5 s" in finding
+    problem = replace(push(4), references=(replace(gapped, name="ref"),), cost=Cost(running=(Term("ref_ref_y", 1.0),)))
+    (conflict,) = find_open_references(problem)
+    assert conflict.remedy.startswith("multiply by known_ref_y, which is 0 there")
     many = refer(1, 4, 7)
     assert "at 0 to 0.2 s, 0.3 to 0.5 s, 0.6 to 0.8 s of its" in read("ref_walk_y", many, horizon=1.0)[0]
     assert "0.8 s, ... of its" in read("ref_walk_y", many, horizon=1.5)[0]

@@ -79,6 +79,7 @@ def test_every_variable_has_one_place(motions: Motions) -> None:
             len(motions.carried) * slopes, len(motions.independent) * accelerations
         ]  # fmt: skip
         assert layout.shifts.shape == (3, closed, len(motions.found))
+        assert not layout.design.size
 
 
 def test_the_first_stage_may_be_the_start_of_its_interval() -> None:
