@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from inspect import Parameter, Signature
+from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
@@ -190,6 +191,8 @@ class Kernels:
         """
         if not is_count(threads):
             raise ArgumentError(f"{name}: {threads} threads; give a whole number, 1 or more")
+        if not (lanes is None or isinstance(lanes, bool | np.bool_)):
+            raise ArgumentError(f"{name}: lanes: {lanes!r}; give True or False, or leave it out")
         entry = self._binder.bind(name)
         if entry.design:
             inputs.setdefault(entry.design, self._design)
@@ -206,7 +209,7 @@ class Kernels:
         loop, several = self._binder.choose_loop(entry, states, lanes)
         shapes = {p.argument.name: (states, *((p.argument.nnz,) if sparse else p.shape)) for p in entry.outputs}
         is_batch = any(array.ndim > len(port.shape) for port, array in arrays)
-        results = _make_results(name, shapes, out if is_batch else None)
+        results = _make_results(name, shapes, out if is_batch else None, arrays)
         status = many.compute(loop, entry, several, arrays, results, states, sparse=sparse, threads=threads)
         if is_batch:
             return results, status
@@ -426,17 +429,30 @@ def _read(value: ArrayLike) -> Array | None:
 
 
 def _make_results(
-    kernel: str, shapes: Mapping[str, tuple[int, ...]], out: Mapping[str, Array] | None
+    kernel: str,
+    shapes: Mapping[str, tuple[int, ...]],
+    out: Mapping[str, Array] | None,
+    inputs: Sequence[tuple[Port, Array]],
 ) -> dict[str, Array]:
     """Make arrays for results, or take the given ones. Raises ArgumentError where these do not fit."""
     if out is None:
         return {name: np.empty(shape) for name, shape in shapes.items()}
     wanted = {name: (shape, np.dtype(np.float64), True, True) for name, shape in shapes.items()}
-    given = {name: (a.shape, a.dtype, a.flags.c_contiguous, a.flags.writeable) for name, a in out.items()}
-    if given != wanted:
+    if not isinstance(out, Mapping) or {name: _describe_array(a) for name, a in out.items()} != wanted:
         arrays = ", ".join(f"{name} {_text(shape)}" for name, shape in shapes.items())
         raise ArgumentError(f"{kernel}: out must hold {arrays}: C-contiguous arrays of float64; give an earlier result")
+    named = [*out.items(), *((port.argument.name, array) for port, array in inputs)]
+    shared = [f"{a} and {b}" for (a, x), (b, y) in combinations(named, 2) if a in out and np.may_share_memory(x, y)]
+    if shared:
+        raise ArgumentError(f"{kernel}: out: {', '.join(shared)} share memory; give arrays apart from all others")
     return dict(out)
+
+
+def _describe_array(array: object) -> tuple[object, ...]:
+    """Return what an array for results must have: shape, type, order, and whether it may be written to."""
+    if not isinstance(array, np.ndarray):
+        return ()
+    return array.shape, array.dtype, array.flags.c_contiguous, array.flags.writeable
 
 
 def _check_patterns(kernel: str, arrays: Sequence[tuple[Port, Array]]) -> None:
