@@ -46,6 +46,7 @@ mbs_program_instance *mbs_program_create(const mbs_program *program, void *memor
     mbs_program_instance *p = take(&free, sizeof *p);
     p->program = program;
     p->parameters = p->numbers = NULL;
+    p->lanes = NULL;
     p->W = take(&free, (size_t)largest_vector(program) * sizeof(real));
     p->reals = take(&free, (size_t)program->reals * sizeof(real));
     p->integers = take(&free, (size_t)program->integers * sizeof(long long int));
@@ -78,6 +79,55 @@ static int call(const mbs_program_instance *p, const mbs_program_call *call)
     return p->program->functions[call->function](p->arguments, p->results, p->integers, p->reals, 0);
 }
 
+/* Count the calls from this step on that can be made at once. */
+static int count_abreast(const mbs_program_lanes *lanes, const mbs_program_step *step, int steps)
+{
+    int count = 1;
+    if (lanes == NULL || lanes->function[step->call->function].function == NULL)
+        return 1;
+    while (count < lanes->lanes && count < steps && step[count].terms.count == 0 && step[count].call != NULL &&
+           step[count].call->function == step->call->function)
+        ++count;
+    return count;
+}
+
+/* Put the numbers of several calls side by side; the last call fills the lanes that are left. */
+static void gather(const real *W, int lanes, const mbs_program_step *step, int count, int argument, int size, real *to)
+{
+    int s, i;
+    for (s = 0; s < lanes; ++s) {
+        const real *from = W + step[s < count ? s : count - 1].call->argument[argument];
+        for (i = 0; i < size; ++i)
+            to[i * lanes + s] = from[i];
+    }
+}
+
+/* Make calls of one function at once. Returns anything but 0 where one of them has no result. */
+static int call_abreast(const mbs_program_instance *p, const mbs_program_step *step, int count)
+{
+    const mbs_program_call *first = step->call;
+    const mbs_program_lanes *lanes = p->lanes;
+    const mbs_program_abreast *f = &lanes->function[first->function];
+    real *free = lanes->room;
+    int i, s, k;
+    for (i = 0; i < first->arguments; free += lanes->lanes * f->argument[i++]) {
+        p->arguments[i] = first->argument[i] < 0 ? NULL : free;
+        if (first->argument[i] >= 0)
+            gather(p->W, lanes->lanes, step, count, i, f->argument[i], free);
+    }
+    for (i = 0; i < first->results; free += lanes->lanes * f->result[i++])
+        p->results[i] = first->result[i] < 0 ? NULL : free;
+    if (f->function(p->arguments, p->results, p->integers, p->reals, 0))
+        return -1;
+    for (i = 0; i < first->results; ++i)
+        for (s = 0; s < count && p->results[i] != NULL; ++s) {
+            real *to = p->W + step[s].call->result[i];
+            for (k = 0; k < f->result[i]; ++k)
+                to[k] = p->results[i][k * lanes->lanes + s];
+        }
+    return 0;
+}
+
 static real *append(real *end, const real *numbers, int count)
 {
     if (count > 0)
@@ -99,12 +149,18 @@ static real *begin(const mbs_program_instance *p, int k, const real *x, const re
 
 static int run(const mbs_program_instance *p, const mbs_program_script *script, real *end)
 {
-    int i;
+    int i, abreast = 0;
     append(end, script->start, script->constants);
     for (i = 0; i < script->steps; ++i) {
         const mbs_program_step *step = &script->step[i];
         add_terms(&step->terms, p->W);
-        if (step->call != NULL && call(p, step->call))
+        if (step->call == NULL || abreast-- > 0)
+            continue;
+        abreast = count_abreast(p->lanes, step, script->steps - i) - 1;
+        if (abreast > 0 && call_abreast(p, step, abreast + 1) == 0)
+            continue;
+        abreast = 0;
+        if (call(p, step->call))
             return -1;
     }
     return 0;

@@ -71,11 +71,25 @@ typedef struct {
     int arguments, results, integers, reals; /* the most that a call needs */
 } mbs_program;
 
+/* A function for several calls at once: number i of an argument or a result of call s is at place i * lanes + s. */
+typedef struct {
+    mbs_program_function function; /* NULL: there is none */
+    const int *argument, *result;  /* how many numbers each has */
+} mbs_program_abreast;
+
+/* Functions for `lanes` calls at once, by their numbers among the functions of the program. */
+typedef struct {
+    int lanes;
+    const mbs_program_abreast *function;
+    mbs_stages_real *room; /* for the numbers of one function's calls, aligned to a vector of them */
+} mbs_program_lanes;
+
 /* An instance: `context` of mbs_stages_problem. */
 typedef struct {
     const mbs_program *program;
     const mbs_stages_real *parameters;
     const mbs_stages_real *numbers; /* stage by stage */
+    const mbs_program_lanes *lanes; /* NULL: every call is made alone */
     mbs_stages_real *W, *reals;
     long long int *integers;
     const mbs_stages_real **arguments;
@@ -85,7 +99,9 @@ typedef struct {
 /* Return how many bytes of memory an instance needs. */
 size_t mbs_program_bytes(const mbs_program *program);
 
-/* Lay an instance out in memory that is aligned to 16 bytes; `parameters` and `numbers` are set by the caller. */
+/* Lay an instance out in memory that is aligned to 16 bytes; `parameters` and `numbers` are set by the caller. So are
+ * `lanes`, where calls of one function that follow each other without terms between them do not read each other's
+ * results. */
 mbs_program_instance *mbs_program_create(const mbs_program *program, void *memory);
 
 /* The callbacks of mbs_stages_problem; `instance` is its context. */

@@ -127,6 +127,10 @@ class Kernels:
         """Return the loop over a number of states, and the kernel for several at once where that is worth it."""
         return self._binder.choose_loop(self._binder.bind(name), states)
 
+    def load_several(self, name: str, width: int) -> Several | None:
+        """Return a kernel for `width` states at once; None where the compiler knows no such vectors."""
+        return self._binder.load_several(self.describe(name), width)
+
     def describe(self, name: str) -> Kernel:
         """Return the manifest's description of a kernel. Raises ArgumentError with the names of the kernels."""
         return self._binder.describe(name)
@@ -375,10 +379,16 @@ class _Binder:
     def _bind_several(self, kernel: Kernel, width: int) -> Several | None:
         """Return a kernel for several states at once; None where there is none."""
         if kernel.name not in self._several:
-            compiler = many.for_states(self._compiler, width)
-            library = compile_library(self.folder, self.manifest.prefix, kernel.sources, compiler)
-            self._several[kernel.name] = many.load_several(library, kernel, width) if width > 1 else None
+            self._several[kernel.name] = self.load_several(kernel, width)
         return self._several[kernel.name]
+
+    def load_several(self, kernel: Kernel, width: int) -> Several | None:
+        """Compile and load a kernel for several states at once; None where there are no vectors of that width."""
+        if not 1 < width <= self._width:
+            return None
+        compiler = many.for_states(self._compiler, width)
+        library = compile_library(self.folder, self.manifest.prefix, kernel.sources, compiler)
+        return many.load_several(library, kernel, width)
 
     @cached_property
     def _width(self) -> int:

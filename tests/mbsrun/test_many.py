@@ -160,9 +160,25 @@ def test_results_are_written_to_the_arrays_of_the_caller(pendulum: Kernels) -> N
         {name: array[:-1] for name, array in first.items()},
         {name: array.astype(np.float32) for name, array in first.items()},
         {name: np.asfortranarray(array) for name, array in first.items()},
+        dict.fromkeys(first),
+        [first],
     ):
         with pytest.raises(ArgumentError, match=r"jac_exp1: out must hold jac_qdd_q \(50, 2, 2\), .*: C-contiguous"):
             pendulum.batch("jac_exp1", out=wrong, **inputs)
+
+
+def test_results_share_no_memory_with_inputs_or_each_other(pendulum: Kernels) -> None:
+    """A state's inputs could be written over before they are read."""
+    inputs = draw(pendulum.describe("exp1"), 20)
+    with pytest.raises(ArgumentError, match="exp1: out: qdd and q share memory; give arrays apart from all others"):
+        pendulum.batch("exp1", out={"qdd": inputs["q"]}, **inputs)
+    room = np.zeros(200)
+    out = {"M": room[:80].reshape(20, 2, 2), "c": room[79:119].reshape(20, 2)}
+    inputs = draw(pendulum.describe("semi"), 20)
+    with pytest.raises(ArgumentError, match="semi: out: M and c share memory"):
+        pendulum.batch("semi", out=out, **inputs)
+    with pytest.raises(ArgumentError, match="semi: lanes: 'yes'; give True or False, or leave it out"):
+        pendulum.batch("semi", lanes="yes", **inputs)
 
 
 def test_nonzeros_are_given_alone(pendulum: Kernels) -> None:

@@ -228,6 +228,12 @@ MISUSES: dict[str, tuple[Callable[[Any], object], str]] = {
         lambda f: torch.func.jacfwd(torch.func.jacfwd(lambda x: f.impl(x=x, y=ones(2), z=ones(1))["f"]))(ones(3)),
         "PyTorch has no forward mode within forward mode",
     ),
+    "older batches of gradients": (
+        lambda f: torch.autograd.functional.jacobian(
+            lambda x: f.impl(x=x, y=ones(2), z=ones(1))["f"], ones(3), vectorize=True
+        ),
+        "take torch.func.vmap, torch.func.jacrev or torch.func.jacfwd",
+    ),
     "tensor for a number": (
         lambda f: f.with_parameters(length=torch.tensor(1.0)),
         "length: with_parameters takes plain numbers; give tensors as the input theta or p",

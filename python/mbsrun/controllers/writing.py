@@ -33,6 +33,7 @@ from mbsrun.ocp.evaluation.stages.calls import name_called
 from mbsrun.ocp.evaluation.stages.tables import FormulaFunction, StageProgram
 from mbsrun.ocp.ground.functions import Array, Indices
 from mbsrun.ocp.methods import choose
+from mbsrun.ocp.methods.stages import LANES
 from mbsrun.ocp.problem.problem import Problem
 from mbsrun.ocp.transcription.layout import Layout
 from mbsrun.ocp.transcription.transcription import Transcription
@@ -301,7 +302,7 @@ def _list_options(problem: Problem) -> Iterator[_Option]:
         "max_iter": solver.max_iterations,
     }
     if choose(solver) == METHOD:
-        given |= {name: value for name, value in solver.options if name != "max_wall_time"}
+        given |= {name: value for name, value in solver.options if name not in ("max_wall_time", LANES)}
     switches = {"yes": "1", "no": "0"}
     for name, value in given.items():
         yield _Option(name, switches.get(str(value), repr(value)), name.endswith("tol"))

@@ -60,10 +60,21 @@ def _find_batch(arrays: Sequence[torch.Tensor]) -> tuple[int, ...]:
 
 def _compute(operator: Operator, order: Order, arrays: Sequence[torch.Tensor], *, with_status: bool) -> Tensors:
     found, batch = operator.call(order), _find_batch(arrays)
-    rows = [np.ascontiguousarray(a.detach().numpy().reshape((-1, a.shape[-1]))) for a in arrays]
+    rows = [np.ascontiguousarray(_read(a).reshape((-1, a.shape[-1]))) for a in arrays]
     status, results = found.run(rows, math.prod(batch))
     tensors = [torch.from_numpy(result.reshape((*batch, result.shape[-1]))) for result in results]
     return tensors + [torch.from_numpy(status.reshape(batch))] * with_status
+
+
+def _read(array: torch.Tensor) -> Any:
+    """Return the numbers of a tensor. Raises ArgumentError for a batch of PyTorch's older vmap, which hides them."""
+    try:
+        return array.detach().resolve_neg().numpy()
+    except RuntimeError:
+        raise ArgumentError(
+            "batches of gradients by is_grads_batched or vectorize=True do not reach kernels; take torch.func.vmap, "
+            "torch.func.jacrev or torch.func.jacfwd"
+        ) from None
 
 
 def _run_call(arrays: list[torch.Tensor], key: int, order: int, with_status: bool) -> list[torch.Tensor]:

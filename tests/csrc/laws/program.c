@@ -157,8 +157,96 @@ static void derivatives(void)
     LAW("a call without result has none", mbs_program_hessian(instance, 0, x, v, 0.125, ye, yd, yg, h) == -1);
 }
 
+/* -- calls at once -- */
+
+static int singles, groups;
+
+/* Write a + b, and a - b, of one call. */
+static int add(const real **arg, real **res, long long int *iw, real *w, int mem)
+{
+    (void)iw, (void)w, (void)mem;
+    ++singles;
+    *res[0] = arg[0][0] + arg[0][1];
+    if (res[1])
+        *res[1] = arg[0][0] - arg[0][1];
+    return 0;
+}
+
+/* The same of four calls, which fails where a sum is negative. */
+static int add_abreast(const real **arg, real **res, long long int *iw, real *w, int mem)
+{
+    int s;
+    (void)iw, (void)w, (void)mem;
+    ++groups;
+    for (s = 0; s < 4; ++s) {
+        if (arg[0][s] + arg[0][4 + s] < 0)
+            return 1;
+        res[0][s] = arg[0][s] + arg[0][4 + s];
+        if (res[1])
+            res[1][s] = arg[0][s] - arg[0][4 + s];
+    }
+    return 0;
+}
+
+/* Run `count` calls, the last of another function on request; call k adds begin[2 k] and begin[2 k + 1]. */
+static int run_calls(const real *begin, int count, int has_other, int at_once, int wants_both, const real *found[2])
+{
+    static const mbs_program_function own[2] = {add, add};
+    static const int two[1] = {2}, ones_each[2] = {1, 1}, term[1] = {19};
+    static const real factor[1] = {1};
+    static const mbs_program_abreast several[2] = {{NULL, NULL, NULL}, {add_abreast, two, ones_each}};
+    static real room[4 * 4], W[40];
+    static const real *in[1];
+    static real *out[2];
+    static const mbs_program_lanes lanes = {4, several, room};
+    int argument_of[8][1], result_of[8][2], k;
+    mbs_program_call made[8];
+    mbs_program_step all[8];
+    mbs_program small = {0};
+    mbs_program_instance own_instance = {0};
+    const mbs_program_script script = {count, all, 20, begin, 40, nothing};
+    for (k = 0; k < count; ++k) {
+        argument_of[k][0] = 2 * k, result_of[k][0] = 20 + 2 * k, result_of[k][1] = wants_both ? 21 + 2 * k : -1;
+        made[k] = (mbs_program_call){has_other && k + 1 == count ? 0 : 1, 1, 2, argument_of[k], result_of[k]};
+        all[k] = (mbs_program_step){{0, NULL, NULL, NULL, NULL}, &made[k]};
+    }
+    all[0].terms = (mbs_program_terms){1, term, term, NULL, factor};
+    small.functions = own;
+    own_instance.program = &small, own_instance.W = W, own_instance.arguments = in, own_instance.results = out;
+    own_instance.lanes = at_once ? &lanes : NULL;
+    singles = groups = 0, found[0] = W + 20, found[1] = W;
+    for (k = 0; k < 40; ++k)
+        W[k] = 77;
+    return run(&own_instance, &script, W);
+}
+
+static void at_once(void)
+{
+    real begin[20] = {1, 2, 3, 5, 8, 13, 21, 34, 55, 89, 144, 233, 0, 0, 0, 0, 0, 0, 0, 3}, alone[12];
+    const real *found[2];
+    int k, count;
+    for (count = 1; count <= 6; ++count) {
+        LAW("calls are made alone", run_calls(begin, count, 0, 0, 1, found) == 0 && singles == count && groups == 0);
+        for (k = 0; k < 12; ++k)
+            alone[k] = found[0][k];
+        LAW("or four at once, or what is left of them",
+            run_calls(begin, count, 0, 1, 1, found) == 0 && groups == (count > 5) + (count > 1) && singles == (count % 4 == 1));
+        for (k = 0; k < 12; ++k)
+            LAW("with the same results, and no others", found[0][k] == alone[k] && (k < 2 * count || alone[k] == 77));
+        LAW("after the terms", found[1][19] == 6);
+    }
+    LAW("other functions are no part of a group",
+        run_calls(begin, 4, 1, 1, 1, found) == 0 && groups == 1 && singles == 1 && found[0][6] == 55);
+    LAW("results may be left out",
+        run_calls(begin, 4, 0, 1, 0, found) == 0 && groups == 1 && found[0][6] == 55 && found[0][7] == 77);
+    begin[2] = -9;
+    LAW("where one fails, it is made alone, and the others that follow at once",
+        run_calls(begin, 4, 0, 1, 1, found) == 0 && groups == 3 && singles == 2);
+    LAW("with its result", found[0][0] == 3 && found[0][2] == -4 && found[0][4] == 21 && found[0][6] == 55);
+}
+
 int main(void)
 {
-    rooms(), values(), derivatives();
+    rooms(), values(), derivatives(), at_once();
     return broken > 0;
 }

@@ -23,7 +23,8 @@ from mbsrun.ocp.ground.status import ACCEPTABLE, INVALID, SOLVED, STALLED, NoNum
 from mbsrun.ocp.methods.method import Answer, Assignment, Instance, Iterate, Method, Near, Solver
 from mbsrun.ocp.methods.options import COUNT, FRACTION, POSITIVE, SWITCH, Amount, Option, Settings
 
-# Fields of mbs_stages_options in mbs_stages.h, which states what they mean, and their defaults.
+LANES = "lanes"  # the option by which the points of an interval are computed at once
+# Other ones are fields of mbs_stages_options in mbs_stages.h, which states what they mean, and their defaults.
 STAGES_OPTIONS: Mapping[str, Option] = {
     "acceptable_iter": COUNT,
     "acceptable_tol": POSITIVE,
@@ -44,6 +45,7 @@ STAGES_OPTIONS: Mapping[str, Option] = {
     "kappa_d": FRACTION,
     "kappa_sigma": Amount(1.0, 1e20),
     "kappa_soc": FRACTION,
+    LANES: SWITCH,
     "max_hessian_perturbation": POSITIVE,
     "max_refinement_steps": COUNT,
     "max_soc": COUNT,
@@ -90,7 +92,7 @@ STATUSES = {
 
 def make_stages(order: Assignment) -> Solver:
     """Make the method for a program."""
-    settings = _read_settings(order)
+    settings, has_lanes = _read_settings(order), order.options.get(LANES) == "yes"
     tables: dict[bytes, binding.Tables] = {}
     free: dict[bytes, list[binding.Solver]] = {}  # solvers that nobody uses now
     lock = threading.Lock()
@@ -120,7 +122,7 @@ def make_stages(order: Assignment) -> Solver:
         if start.near is not None and start.near.layout != key:
             return Answer(start.x, OTHER_LAYOUT, 0)
         with lock:
-            solver = free[key].pop() if free[key] else binding.Solver(tables[key], order.threads)
+            solver = free[key].pop() if free[key] else binding.Solver(tables[key], order.threads, has_lanes=has_lanes)
 
         def show(progress: binding.Progress) -> None:
             assert start.watch is not None, "only a watch is shown iterates"
@@ -153,7 +155,8 @@ def _read_settings(order: Assignment) -> binding.Settings:
     """
     given: Settings = {"acceptable_tol": max(order.tolerance, 1e-6), **order.options}
     words = {"yes": 1.0, "no": 0.0}
-    numbers = {name: float(words.get(str(value), value)) for name, value in given.items() if name != "max_wall_time"}
+    apart = ("max_wall_time", LANES)
+    numbers = {name: float(words.get(str(value), value)) for name, value in given.items() if name not in apart}
     program = order.program.data
     limits = {"tol": order.tolerance, "max_iter": float(order.max_iterations)}
     limits["follow"] = float(len(program.kept) < program.variables)

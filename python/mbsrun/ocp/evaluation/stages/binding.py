@@ -16,7 +16,9 @@ from mbsgen.errors import MbsError
 from mbsrun.binding import Entry, bind, find_function
 from mbsrun.kernel import Kernels
 from mbsrun.library import compile_library, find_compiler
+from mbsrun.many import Several
 from mbsrun.ocp.evaluation.stages import formulas
+from mbsrun.ocp.evaluation.stages.abreast import LANES, Abreast, find_repeated, is_independent, list_sizes
 from mbsrun.ocp.evaluation.stages.calls import name_called
 from mbsrun.ocp.evaluation.stages.interface import load
 from mbsrun.ocp.evaluation.stages.tables import (
@@ -172,7 +174,7 @@ class Tables:
             for i, f in enumerate(self.data.functions)
             if isinstance(f, FormulaFunction)
         }
-        entries = self._bind_kernels(kernels)
+        entries = self._entries = self._bind_kernels(kernels)
         written = self._compile_formulas(texts)
         pointers = self._keep(self.ffi.new("mbs_program_function[]", max(1, len(self.data.functions))))
         for i, function in enumerate(self.data.functions):
@@ -195,6 +197,24 @@ class Tables:
             library = kernels.compile(*map(name_called, called))
             found |= {one: self._keep(bind(library, kernels.describe(name_called(one)))) for one in called}
         return found
+
+    @cached_property
+    def abreast(self) -> Abreast | None:
+        """The kernels that an interval's points call at once; None where there are no such, or no vectors."""
+        scripts = [script for kind in self.data.kinds for script in (kind.values, kind.jacobians, kind.second)]
+        repeated = find_repeated(scripts)
+        found: dict[int, tuple[Entry, Several]] = {}
+        for number, function in enumerate(self.data.functions):
+            if number not in repeated or not isinstance(function, KernelFunction):
+                continue
+            entry = self._entries[function]
+            if not is_independent(scripts, number, list_sizes(entry)):
+                continue
+            kernels = _find_kernels(self._plants[function.plant], function.kernel)
+            several = kernels.load_several(name_called(function), LANES)
+            if several is not None:
+                found[number] = entry, several
+        return Abreast(self.ffi, found, len(self.data.functions)) if found else None
 
     def _compile_formulas(self, texts: Mapping[str, str]) -> Mapping[str, int]:
         if not texts:
@@ -354,9 +374,9 @@ class Evaluator:
 class Solver:
     """A solver of tables for bounds of one structure: the same ones are equal."""
 
-    def __init__(self, tables: Tables, threads: int = 1) -> None:
+    def __init__(self, tables: Tables, threads: int = 1, *, has_lanes: bool = False) -> None:
         """Take the tables; memory follows with the first solve."""
-        self._threads = threads
+        self._threads, self._has_lanes = threads, has_lanes
         self.tables, self.ffi, self.lib = tables, tables.ffi, tables.lib
         self._made: tuple[bytes, Workspace] | None = None
         self._options: tuple[Settings, Any] | None = None
@@ -406,7 +426,10 @@ class Solver:
         bounds = set_bounds(data, numbers)
         key = b"".join((low == high).tobytes() for low, high in (bounds[:2], bounds[2:]))
         if self._made is None or self._made[0] != key:
-            self._made = key, Workspace(self.tables, numbers.parameters, bounds, self._threads)
+            self._made = (
+                key,
+                Workspace(self.tables, numbers.parameters, bounds, self._threads, has_lanes=self._has_lanes),
+            )
         memory = self._made[1]
         for held, given in zip(memory.bounds, bounds, strict=True):
             held[: given.size] = given
@@ -444,14 +467,20 @@ class Workspace:
     """The memory of one solver. With threads, it solves while its team is at work."""
 
     def __init__(
-        self, tables: Tables, parameters: Array, bounds: tuple[Array, Array, Array, Array], threads: int = 1
+        self,
+        tables: Tables,
+        parameters: Array,
+        bounds: tuple[Array, Array, Array, Array],
+        threads: int = 1,
+        *,
+        has_lanes: bool = False,
     ) -> None:
         ffi, lib = tables.ffi, tables.lib
         self.evaluator = Evaluator(tables, parameters)
         self.bounds = [np.append(part, 0.0) for part in bounds]
         problem = self.problem = ffi.new("mbs_stages_problem *")
         problem.stages, problem.size = len(tables.data.kind_of_stage), tables.sizes
-        self.team = Team(ffi, lib, self.evaluator.instance, threads)
+        self.team = Team(ffi, lib, self.evaluator.instance, threads, tables.abreast if has_lanes else None)
         problem.context, problem.team = self.team.contexts, self.team.c
         for name in ("values", "jacobians", "hessian"):
             setattr(problem, name, ffi.addressof(lib, f"mbs_timed_{name}"))

@@ -9,14 +9,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mbsrun.ocp.evaluation.stages.abreast import Abreast
 from mbsrun.ocp.evaluation.stages.interface import load_threads
 
 
 class Team:
     """The workers of a solver, each with its own instance of the functions, and with their time."""
 
-    def __init__(self, ffi: Any, lib: Any, instance: Any, threads: int) -> None:
-        """Take the instance of worker 0 in a library; others get its tables and its numbers. Raises CompileError."""
+    def __init__(self, ffi: Any, lib: Any, instance: Any, threads: int, abreast: Abreast | None = None) -> None:
+        """Take the instance of worker 0 in a library; others get its tables and its numbers.
+
+        Each makes several calls at once by `abreast`, if there is such. Raises CompileError.
+        """
         self._ffi, self._lib = ffi, lib
         size = self._lib.mbs_program_bytes(instance.program)
         self._memories = [make_memory(size) for _ in range(threads - 1)]
@@ -25,6 +29,7 @@ class Team:
         for context, memory in zip(list(self.contexts)[1:], self._memories, strict=True):
             context.instance = self._lib.mbs_program_create(instance.program, ffi.cast("void *", memory.ctypes.data))
             context.instance.parameters, context.instance.numbers = instance.parameters, instance.numbers
+        self._lanes = [self._lay(abreast, context.instance) for context in self.contexts] if abreast else []
         self.c: Any = ffi.NULL
         if threads > 1:
             self._threads = load_threads(ffi)
@@ -32,6 +37,13 @@ class Team:
             self._pointers = ffi.new("void *[]", [ffi.addressof(self.contexts, i) for i in range(threads)])
             spread = ffi.addressof(self._threads, "mbs_threads_spread")
             self.c = ffi.new("mbs_stages_team *", [threads, spread, ffi.NULL, self._pointers])
+
+    def _lay(self, abreast: Abreast, instance: Any) -> tuple[Any, Any]:
+        """Set the functions of a worker for several calls at once; return what must outlive it."""
+        room = make_memory(abreast.numbers * self._ffi.sizeof("double"))
+        lanes = abreast.lay(self._ffi.cast("double *", room.ctypes.data))
+        instance.lanes = lanes
+        return room, lanes
 
     @contextmanager
     def at_work(self) -> Iterator[None]:
