@@ -11,6 +11,7 @@ static struct {
     int tries;
     int is_plain; /* whether all variables count alike when the matrix is factorised */
     real unit;    /* a step's multiplier */
+    int lacking;  /* the stage that lacks curvature */
     int minded;   /* how often growth was looked at */
 } given;
 
@@ -20,7 +21,7 @@ int mbs_stages_factorise(mbs_stages_recursion *r, int careful)
     ++given.tries;
     r->dependent = given.dependent;
     given.is_plain = r->plain && r->diagonal && r->diagonal[0] == 1 && r->diagonal[1] == 1 && r->stage[0].curvature == 0;
-    return r->stage[1].curvature < given.needed ? 1 : -1;
+    return r->stage[1].curvature < given.needed ? given.lacking : -1;
 }
 
 int mbs_stages_mind_growth(mbs_stages_recursion *r, int stage)
@@ -84,7 +85,7 @@ static void anew(mbs_stages *s)
     s->softened = marks[0], s->fixed = marks[1], s->problem = &none;
     s->variables = s->rows = 1;
     s->rw[0] = s->rc[0] = 1;
-    given.sweeps = given.dependent = 0, given.needed = 0, given.unit = 10;
+    given.sweeps = given.dependent = 0, given.needed = 0, given.unit = 10, given.lacking = 1;
 }
 
 static void refining(void)
@@ -96,8 +97,9 @@ static void refining(void)
     given.errors = good;
     LAW("a good step is not refined", solve_reduced(s) == 0 && given.sweeps == 1 && s->best_w[0] == 1);
     anew(s);
-    given.errors = falling;
+    given.errors = falling, s->best_w[1] = s->best_y[1] = 5;
     LAW("refinements go on while they halve the residual", solve_reduced(s) == 4 && s->result.refinements == 4);
+    LAW("of the numbers that there are", s->dw[1] == 0 && s->dy[1] == 0);
     LAW("and add up", s->best_w[0] == 1 + 2 + 3 + 4 + 5 && s->best_y[0] == 150);
     anew(s);
     given.errors = slow;
@@ -106,6 +108,19 @@ static void refining(void)
     anew(s);
     given.errors = worse;
     LAW("a worse one is left", solve_reduced(s) == -1 && s->best_w[0] == 1 && s->best_y[0] == 10);
+}
+
+/* Residuals of rows that give much are equations of their multipliers. */
+static void measuring(void)
+{
+    const real w[2] = {-5, 2}, c[2] = {3, -8}, d[2] = {1, -8};
+    mbs_stages *s = &solver;
+    anew(s);
+    s->variables = s->rows = 2, s->gives[0] = (real)0.5, s->gives[1] = 4;
+    LAW("the largest residual of each kind", measure(s, w, c).w == 5 && measure(s, w, c).c == 3);
+    LAW("beside the compliance, if that is large", measure(s, w, d).c == 2);
+    s->gives[1] = (real)0.25;
+    LAW("or as it is", measure(s, w, d).c == 8);
 }
 
 static void softening(void)
@@ -286,6 +301,9 @@ static void estimating(void)
     given.sweeps = 0, given.unit = 1001;
     mbs_stages_estimate_multipliers(s, p);
     LAW("larger ones than 1000 are none", y[0] == 0);
+    given.sweeps = 0, given.unit = 10, given.needed = 1, given.lacking = 0, y[0] = 9;
+    mbs_stages_estimate_multipliers(s, p);
+    LAW("and none are without factors", y[0] == 0);
     for (i = 0; i < 3; ++i) {
         anew(s);
         memset(stages, 0, sizeof stages), stages[0].d = stages[0].g = stages[1].e = stages[1].d = stages[1].g = 1;
@@ -293,6 +311,7 @@ static void estimating(void)
         s->recursion.diagonal = room[9], p->size = 2, p->sigma = sigma, p->slope = slope, p->trial_c = trial_c, p->y = y;
         given.errors = softly[i], y[0] = 9;
         mbs_stages_estimate_multipliers(s, p);
+        LAW("by what they give without a Hessian", i == 2 || near(s->recursion.compliance[0], MBS_STAGES_SOFT));
         LAW("rows without digits give", s->softening == (i < 2 ? MBS_STAGES_SOFTENED : MBS_STAGES_HARD) && y[0] > 9);
     }
 }
@@ -302,6 +321,7 @@ int main(void)
     estimating();
     curving();
     refining();
+    measuring();
     softening();
     hardening();
     giving();

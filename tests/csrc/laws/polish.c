@@ -18,7 +18,7 @@ int mbs_stages_phase_values(mbs_stages *s, const mbs_stages_phase *p, const real
 int mbs_stages_phase_derivatives(mbs_stages *s, mbs_stages_phase *p)
 {
     (void)s, (void)p;
-    return 0;
+    return given.fails == 3;
 }
 
 int mbs_stages_phase_hessian(mbs_stages *s, mbs_stages_phase *p)
@@ -177,7 +177,9 @@ static void tightening(mbs_stages *s, mbs_stages_phase *p)
 {
     anew(s, p);
     p->x[0] = -9e-9, p->zl[0] = 0.1;
+    p->lower[1] = -1, p->upper[1] = 1;
     tighten(s, p, 1e-8, 1e-10);
+    LAW("of the numbers that there are", p->lower[1] == -1 && p->upper[1] == 1);
     LAW("bounds come nearer to the caller's", away(p->lower[0], -1e-10) < 1e-16 && away(p->upper[0], 4 + 4e-10) < 1e-14);
     LAW("what is beyond goes inside, to where its product is mu", away((p->x[0] - p->lower[0]) * p->zl[0], p->mu) < 1e-17);
     anew(s, p);
@@ -266,6 +268,9 @@ static void failing(mbs_stages *s, mbs_stages_phase *p)
     given.fails = 2;
     LAW("no factors, none", make_step(s, p) == -1 && s->result.iterations == 0);
     LAW("and all is as before", p->x[0] == 4 + 3e-8 && p->cost == 2);
+    anew(s, p);
+    given.fails = 3;
+    LAW("no derivatives at a point, no steps from there", follow(s, p) == -1 && s->result.iterations == 0);
     anew(s, p);
     p->cost = 2, p->lower[0] = 2 - 1e-12, p->zl[0] = 5, given.target = given.solution = 2;
     LAW("a solution whose cost is off by more is left", sharpen(s, p, 0, 0, 1e-2) == -1 && p->zl[0] == 5);

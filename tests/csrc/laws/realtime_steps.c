@@ -61,8 +61,12 @@ static void linear_ones(void)
         for (i = 0; i < 2; ++i)
             deviation = fmax(deviation, fabs(x[i] - drawn->point.w[i]) / w_scale[i]);
         memcpy(before, drawn->point.w, sizeof before);
+        for (i = 0; i < ROWS; ++i)
+            drawn->residual_c[i] = 9; /* which no response reads */
         for (j = 0; j < 2; ++j)
             memcpy(gain[j], mbs_stages_gain(drawn, j), sizeof gain[j]);
+        for (i = 0; i < ROWS; ++i)
+            drawn->residual_c[i] = 9;
         r = mbs_stages_feedback(drawn, x, v);
         LAW("a step is made", r.status == MBS_STAGES_STEPPED && r.length == 1 && r.dual_length == 1);
         LAW("from the measured state", near(drawn->point.w[0], x[0]) && near(drawn->point.w[1], x[1]));

@@ -136,9 +136,26 @@ static void second_order(void)
     LAW("some steps bend rows", tried > 1);
 }
 
+/* Lengths begin with the longest one, or with half of it where that was tried before. */
+static void lengths(void)
+{
+    int again;
+    for (again = 0; again < 2; ++again) {
+        mbs_stages_phase *p = open_trial();
+        const real most = mbs_stages_boundary(drawn, p, p->x, p->step.x, p->tau);
+        search t = {-1, 0, 0, 0};
+        p->theta = p->theta_most = 1e9; /* any trial is progress */
+        LAW("a trial is taken", backtrack(drawn, p, &t, again) == 0);
+        LAW("the longest, or the next", near(p->alpha, again ? most / 2 : most));
+        p = open_trial();
+        p->theta_most = -1;
+        LAW("none is, where none will do", backtrack(drawn, p, &t, again) == -1);
+    }
+}
+
 int main(void)
 {
-    corrections(), following(), second_order();
+    corrections(), following(), second_order(), lengths();
     close_drawn();
     return broken > 0;
 }

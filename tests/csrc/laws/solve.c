@@ -56,7 +56,8 @@ real mbs_stages_dual_boundary(const mbs_stages *s, const mbs_stages_phase *p, co
 real mbs_stages_mean_product(const mbs_stages *s, const mbs_stages_phase *p, const mbs_stages_direction *d, real alpha,
                              real alpha_dual)
 {
-    (void)s, (void)p, (void)alpha, (void)alpha_dual;
+    (void)s, (void)p, (void)alpha_dual;
+    LAW("a step that aims at 0 stays inside of bounds", alpha <= 1);
     return d ? given.after : given.before;
 }
 

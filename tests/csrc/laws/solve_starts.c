@@ -187,8 +187,9 @@ static void warmth(void)
         LAW("and those of bounds",
             near(drawn->point.below[i] * (drawn->cost_scale * w_scale[i]), p->zl[i]) &&
                 near(drawn->point.above[i] * (drawn->cost_scale * w_scale[i]), p->zu[i]));
-    o.mu_init = 0;
+    o.mu_init = 0, drawn->point.w[6] = w_lower[6] + (real)4e-3;
     p = begin(&o);
+    LAW("it does not go far from its bounds", fabs(p->x[6] - w_lower[6] - (real)4e-3) < 1e-12);
     LAW("else it begins low", p->mu == MBS_STAGES_LOW);
     LAW("and may begin farther, by the square of the violation", drawn->farther > 0 && drawn->farther <= WARM_BARRIER);
     LAW("which is large here", drawn->farther == WARM_BARRIER);
