@@ -140,6 +140,16 @@ class RigidPoint(_Entry):
     coefficient: float  # of dry friction
     is_stop: bool = False  # at a limit of a number, which has no place
     hold: float = 0.0  # of a stop: the largest pull that it bears
+    is_coupling: bool = False  # which has no limit: it holds the number wherever it is, at times that are given
+
+    @model_serializer(mode="wrap")
+    def _leave_out(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        return {k: x for k, x in write(self).items() if x or k != "is_coupling"}
+
+    @property
+    def stop(self) -> str:
+        """Return the name of its stop in the model."""
+        return self.name if self.is_coupling else self.name.rpartition(".")[0]
 
 
 class OpenJoint(_Entry):

@@ -416,10 +416,10 @@ def identify_mechanism(model: Model) -> str:
 
 
 def _describe_rigid(name: str, point: Rigid | Barrier) -> RigidPoint:
-    is_stop, hold = (True, point.hold) if isinstance(point, Barrier) else (False, 0.0)
-    return RigidPoint(
-        name=name, restitution=point.restitution, coefficient=point.coefficient, is_stop=is_stop, hold=hold
-    )
+    found = RigidPoint(name=name, restitution=point.restitution, coefficient=point.coefficient)
+    if not isinstance(point, Barrier):
+        return found
+    return found.model_copy(update={"is_stop": True, "hold": point.hold, "is_coupling": point.is_coupling})
 
 
 def _list_parameters(tree: Tree, kind: Kind) -> tuple[Parameter, ...]:

@@ -353,11 +353,13 @@ def contact(
     return Contact(*body_part, other, *own, circle, tyre, tuple(map(vector, points)), law)
 
 
-def stop(name: str, quantity: Quantity, limits: Limits, *, hold: Quantity = 0.0, **law: Quantity) -> Stop:
+def stop(
+    name: str, quantity: Quantity, limits: Limits = (None, None), *, hold: Quantity = 0.0, **law: Quantity
+) -> Stop:
     """Make stops at limits of a number of the pose, such as "q1 - 2*z_tip".
 
     `law` is the restitution of rigid stops, or the stiffness of compliant ones, and perhaps their dissipation. A rigid
-    stop holds what reaches it against a pull up to `hold`.
+    stop holds what reaches it against a pull up to `hold`; without limits it is a coupling.
     """
     lower, upper = (None if x is None else number(x) for x in limits)
     return Stop(name, number(quantity), lower, upper, Stops(**_read_keys(law, STOPS)), number(hold))

@@ -508,6 +508,13 @@ class Loads:
                 line.pull(name, -force * slopes[line.length], lambda _, vector: vector)
 
         elements = tuple(own for key, own in name_lengths([*self._lines]).items() if key in read)
+        if stop.is_coupling:
+            assert rigid is not None, "a coupling holds its number"
+            wrenches, joints = self._collect(partial(push, Integer(1)))
+            gap, away = self._note(name, "gap", value), self._note(name, "rate of the gap", rate)
+            self.distances.append(
+                Distance(name, gap, Barrier(wrenches, joints, away, elements, *rigid, is_coupling=True))
+            )
         for key, way, limit in zip(("lower", "upper"), (1, -1), limits, strict=True):
             if limit is None:
                 continue

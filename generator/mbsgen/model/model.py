@@ -533,6 +533,11 @@ class Stop:
     law: Stops
     hold: Expression = ZERO  # of rigid ones: the largest pull that does not take the number away again
 
+    @property
+    def is_coupling(self) -> bool:
+        """Return whether it holds the number wherever it is, at times that a simulation gives."""
+        return self.lower is None and self.upper is None
+
 
 @dataclass(frozen=True)
 class Constraint:

@@ -328,6 +328,7 @@ class Barrier:
     elements: tuple[str, ...]  # the force elements whose lengths it reads
     restitution: float
     hold: float = 0.0  # the largest pull that it bears
+    is_coupling: bool = False  # holds the number wherever it is, for a time
     coefficient: float = 0.0  # of friction, which a stop does not have
 
 

@@ -313,8 +313,8 @@ def _write_muscle(muscle: Muscle) -> Mapped:
 
 
 def _write_stop(stop: Stop) -> Mapped:
-    quantity, limits = _write_number(stop.quantity), _write_limits(stop)
-    named: Mapped = {"name": _quote(stop.name), "quantity": quantity, "limits": limits}
+    named: Mapped = {"name": _quote(stop.name), "quantity": _write_number(stop.quantity)}
+    named |= {} if stop.is_coupling else {"limits": _write_limits(stop)}
     return named | _write_given(stop.law, STOPS) | _write_numbers(stop, ("hold",))
 
 

@@ -4,7 +4,7 @@ from mbsrun.closure import OpenError
 from mbsrun.simulation.course import Course, follow, stand
 from mbsrun.simulation.drive import Drive, control
 from mbsrun.simulation.integration.methods import METHODS, Formulation
-from mbsrun.simulation.motion import Event, Impacts, Keeping, Kind, Mode, Motion, Settings
+from mbsrun.simulation.motion import Event, Impacts, Keeping, Kind, Latch, Mode, Motion, Settings
 from mbsrun.simulation.saltation import Sensitivity, differentiate
 from mbsrun.simulation.simulate import simulate
 
@@ -17,6 +17,7 @@ __all__ = [
     "Impacts",
     "Keeping",
     "Kind",
+    "Latch",
     "Mode",
     "Motion",
     "OpenError",

@@ -8,9 +8,10 @@ equations, or it is sampled: computed every `period`, and held in between, so th
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from types import MappingProxyType
 from typing import Any
@@ -107,6 +108,14 @@ class Drive:
                 q, qd = state()
                 held = self.control(kernels, np.array([start]), q[None], qd[None])[0]
                 yield Piece(start, min(start + self.period, end), hold(held).pieces[0].values, True)
+
+
+def cut(pieces: Iterator[Piece], times: Collection[float]) -> Iterator[Piece]:
+    """Cut pieces at some times."""
+    for piece in pieces:
+        inner = sorted(t for t in {*times} if piece.start < t < piece.end)
+        for start, end in itertools.pairwise((piece.start, *inner, piece.end)):
+            yield replace(piece, start=start, end=end)
 
 
 def _add_time(piece: Piece, count: int) -> Piece:

@@ -45,6 +45,18 @@ class Impacts(Enum):
 
 
 @dataclass(frozen=True)
+class Latch:
+    """The times at which a stop that holds, or a coupling, may hold."""
+
+    name: str  # of the stop
+    times: tuple[tuple[float, float], ...]  # from, until: increasing
+
+    def holds(self, time: float) -> bool:
+        """Return whether it may hold from a time on."""
+        return any(start <= time < end for start, end in self.times)
+
+
+@dataclass(frozen=True)
 class Settings:
     """How to integrate. Times in s."""
 
@@ -60,6 +72,7 @@ class Settings:
     impacts: Impacts = Impacts.NEWTON
     alpha: float = 5.0  # 1/s: gains of Baumgarte's terms, of the rate
     beta: float = 5.0  # 1/s: and of the gap
+    latches: tuple[Latch, ...] = ()  # that hold at some times; of others, stops that hold do at all, couplings at none
     output_step: float | None = None  # between the states that are kept; None: duration / STORED
     max_steps: int = Limits.steps  # a motion that would take more is refused, or halts
     max_seconds: float = Limits.seconds  # of processor time; the motion halts when they are used up

@@ -9,6 +9,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import math
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -62,6 +63,10 @@ def describe_settings(settings: Settings) -> dict[str, object]:
         found["loops"] = settings.loops.value
     if settings.impacts is not Impacts.NEWTON:
         found["impacts"] = settings.impacts.value
+    if settings.latches:
+        found["latches"] = {
+            x.name: [[a, b if math.isfinite(b) else None] for a, b in x.times] for x in settings.latches
+        }
     if settings.loops is Keeping.BAUMGARTE:
         found |= {"alpha": settings.alpha, "beta": settings.beta}
     return found

@@ -76,6 +76,8 @@ def _check(manifest: Manifest, drive: Drive, settings: Settings) -> None:
     if manifest.loaded:
         finding = f"friction by the load of joints {', '.join(manifest.loaded)} is not differentiated"
         raise ValueError(f"{finding}; give a torque in place of load")
+    if settings.latches:
+        raise ValueError("latches that hold at given times are not differentiated; leave the times out")
     if drive.control is not None:
         raise ValueError("inputs that follow the state are not differentiated; give them over time")
     needed = {"jac_semi_res"} | ({"jac_rates"} if manifest.configuration else set())

@@ -17,7 +17,7 @@ from mbsrun.limits import Allowance, Limits
 from mbsrun.quaternions import measure_lengths
 from mbsrun.simulation.closing import check_closed
 from mbsrun.simulation.course import Course, check_course, is_constrained, place_driven, stand
-from mbsrun.simulation.drive import Drive, DriveError, Piece
+from mbsrun.simulation.drive import Drive, DriveError, Piece, cut
 from mbsrun.simulation.dynamics import Dynamics, SingularError
 from mbsrun.simulation.formulation import Formulation
 from mbsrun.simulation.integration import adaptive
@@ -95,7 +95,8 @@ def simulate(
     record = _Record(kernels, settings, *start, course)
     allowance = Allowance(Limits(settings.max_steps, settings.max_seconds))
     halt: Halt | None = None
-    pieces = drive.play(kernels, settings.duration, lambda: record.last)
+    edges = {time for latch in settings.latches for pair in latch.times for time in pair}
+    pieces = cut(drive.play(kernels, settings.duration, lambda: record.last), edges)
     while halt is None and record.last_time < settings.duration:
         try:
             piece = next(pieces)
@@ -168,6 +169,7 @@ def _check_outside(kernels: Kernels, q: Array) -> None:
     """Refuse a start within another side. Raises InsideError."""
     if kernels.manifest.rigid:
         clearance = kernels("touching", q=q)["clearance"].ravel()
+        clearance[[x.is_coupling for x in kernels.manifest.rigid]] = 0.0
         k = int(clearance.argmin())
         if clearance[k] < -BEYOND:
             raise InsideError(kernels.manifest.rigid[k], -float(clearance[k]))

@@ -6,7 +6,7 @@ Numbers may be expressions over the file's `constants`; inputs and wrenches over
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
@@ -38,7 +38,7 @@ from mbsrun.simulation.course import Course, find_jump, follow, place_driven
 from mbsrun.simulation.drive import STATE, TIME, Drive, express
 from mbsrun.simulation.integration.joints import Joints
 from mbsrun.simulation.integration.methods import METHODS, Formulation, find_idle, find_refusals, takes_too_many_steps
-from mbsrun.simulation.motion import Impacts, Keeping, Settings
+from mbsrun.simulation.motion import Impacts, Keeping, Latch, Settings
 
 Array = NDArray[np.float64]
 
@@ -140,6 +140,7 @@ class SettingsSection(Section):
     input_period: NumberField | None = Field(default=None, examples=[1e-3])
     wrenches: dict[str, _WrenchSection] = Field(default={}, examples=[{}])
     signals: dict[str, NumberField] = Field(default={}, examples=[{}])
+    latches: dict[str, list[tuple[NumberField, NumberField | None]]] = Field(default={}, examples=[{}])
 
 
 # --- meaning -------------------------------------------------------------------------------------------------------
@@ -195,6 +196,7 @@ class _Reading(Reading):
             impacts=section.impacts,
             alpha=self.number(("alpha",), section.alpha, 0.0),
             beta=self.number(("beta",), section.beta, 0.0),
+            latches=tuple(self.latch(name, given) for name, given in section.latches.items()),
         )
         given = section.model_fields_set
         for name, finding, remedy in find_idle(settings, given if self.minded is None else given & self.minded):
@@ -213,6 +215,14 @@ class _Reading(Reading):
             finding = f"{settings.duration / settings.output_step:.3g} states would be kept"
             self.fault(("output_step",), finding, f"keep at most {MAX_OUTPUTS}")
         return settings
+
+    def latch(self, name: str, given: Sequence[tuple[Expression, Expression | None]]) -> Latch:
+        """Read the times at which a latch or a coupling holds; the last may be without end."""
+        times = [
+            tuple(math.inf if x is None else self.number(("latches", name, i, k), x) for k, x in enumerate(pair))
+            for i, pair in enumerate(given)
+        ]
+        return Latch(name, tuple((start, end) for start, end in times))
 
     def duration(self, expression: Expression | None) -> float:
         """Read the duration; a recording has its own."""

@@ -29,6 +29,8 @@ class Floor:
     coefficient: float = 0.0
     hold: float = 0.0
     name: str = "floor"
+    is_stop: bool = False
+    is_coupling: bool = False
 
 
 @dataclass(frozen=True)

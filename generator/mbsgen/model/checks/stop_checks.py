@@ -101,7 +101,7 @@ def _check_stop(place: Place, stop: Stop, known: State, valuation: Valuation, st
         math.nan if x is None else valuation.number((*place, "limits", k), x)
         for k, x in enumerate((stop.lower, stop.upper))
     )
-    if stop.lower is None and stop.upper is None:
+    if stop.is_coupling and not hold > 0:
         yield Finding((*place, "limits"), "no limit", "give one or two numbers: [0, null], [null, 1], [0, 1]")
     elif lower >= upper:
         finding = f"limits from {lower:g} to {upper:g}"

@@ -314,7 +314,9 @@ class StopSection(Section):
     quantity: NumberField = Field(
         examples=["q_drum - 2*z_pan"], description="over q_, x_, y_, z_ and length_NAME, and parameters"
     )
-    limits: tuple[LimitField, LimitField] = Field(examples=[[None, 0.5]], description="in the quantity's unit")
+    limits: tuple[LimitField, LimitField] = Field(
+        (None, None), examples=[[None, 0.5]], description="in the quantity's unit; a coupling with hold has none"
+    )
     restitution: OptionalNumberField = Field(
         None, examples=[0.5], description="of rigid stops: the part of the speed that is kept, 0 to 1"
     )

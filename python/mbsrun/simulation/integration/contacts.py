@@ -109,13 +109,17 @@ class Contacts:
         """Take the equations of motion, in a formulation with a mass matrix."""
         self.dynamics, points = dynamics, dynamics.kernels.manifest.rigid
         self.names = [point.name for point in points]
+        self.stops = [point.stop if point.is_stop else "" for point in points]
         self.restitution = np.array([point.restitution for point in points])
         self.coefficient = np.array([point.coefficient for point in points])
         self.hold = np.array([point.hold for point in points])  # the pulls that latches bear
+        self.couples = np.array([point.is_coupling for point in points], dtype=np.bool_)
+        self.places = np.zeros(len(points))  # where couplings hold their numbers
 
     def touch(self, q: Array, qd: Array) -> Touch:
         """Describe the points in states (K, nq), (K, n)."""
         gap, normal, slide = self._place(q)
+        gap = gap - self.places
         velocity = np.einsum("kpin,kn->kpi", slide, qd)
         rates, slopes = self.dynamics.rates(q, qd), self.dynamics.kernels("jac_touching", q=q)
         K, points, _, n = slide.shape
@@ -125,6 +129,10 @@ class Contacts:
         pull = (turn * velocity).sum(axis=2) + (normal * drift).sum(axis=2)
         reach = np.einsum("kpin,kn->kpi", np.abs(slide), np.abs(qd)).max(axis=2)
         return Touch(gap, normal, slide, velocity, pull, drift, reach)
+
+    def measure(self, q: Array) -> Array:
+        """Return the distances at one pose, of couplings the numbers themselves, (P,)."""
+        return np.asarray(self._place(q[None])[0][0])
 
     def _place(self, q: Array) -> tuple[Array, Array, Array]:
         """Return distances, normals and Jacobians."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
@@ -145,6 +146,7 @@ def find_refusals(settings: Settings, manifest: Manifest) -> Iterator[tuple[str,
             finding,
             "leave it out: stops of joints with one restitution have the same impacts by both laws",
         )
+    yield from _check_latches(settings, manifest)
     if manifest.rigid and method.stability is not None:
         yield from _refuse_contacts(settings, manifest)
     elif latches := [point.name for point in manifest.rigid if point.hold > 0]:
@@ -177,6 +179,29 @@ def find_refusals(settings: Settings, manifest: Manifest) -> Iterator[tuple[str,
         if method.has_fixed_steps and gain * settings.step > 1:
             finding = f"the gain {gain:g} 1/s times the step {settings.step:g} s is {gain * settings.step:.3g}"
             yield "step", finding, "keep it below 1, else the loops' own motion diverges"
+
+
+def _check_latches(settings: Settings, manifest: Manifest) -> Iterator[tuple[str, str, str]]:
+    """Find latches that the model has not, and times that do not follow each other."""
+    known = list_latches(manifest)
+    for latch in settings.latches:
+        if latch.name not in known:
+            given = f"give one of {', '.join(known)}" if known else "give hold to a rigid stop of the model"
+            yield "latches", f"the model has no latch or coupling {latch.name}", given
+        edges = [time for pair in latch.times for time in pair]
+        if not latch.times:
+            yield "latches", f"{latch.name} has no times", "give pairs of times: [[0, 1], [2, null]]"
+        elif not edges[0] >= 0 or any(not a < b for a, b in itertools.pairwise(edges)):
+            finding = f"the times of {latch.name} do not increase from 0 on"
+            yield "latches", finding, "give pairs of times that follow each other: [[0, 1], [2, null]]"
+    names = [latch.name for latch in settings.latches]
+    if twice := sorted({name for name in names if names.count(name) > 1}):
+        yield "latches", f"{twice[0]} stands there twice", "give all of its times at once"
+
+
+def list_latches(manifest: Manifest) -> list[str]:
+    """List the stops of a model that hold."""
+    return sorted({point.stop for point in manifest.rigid if point.hold > 0})
 
 
 def _refuse_contacts(settings: Settings, manifest: Manifest) -> Iterator[tuple[str, str, str]]:

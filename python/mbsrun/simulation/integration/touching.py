@@ -38,6 +38,7 @@ class Bound(Enum):
 
     GAP = "the distance of an open point"
     PRESS = "the normal force of a closed one"
+    PUSH = "what a coupling bears beyond its force, the other way"
     SLIP = "the velocity of a slipping one, along the way in which it began"
     HOLD = "the reserve of friction of one that sticks"
 
@@ -85,6 +86,10 @@ class TouchingCourse(Stepwise[Mode, Guard]):
         self.released: set[int] = set()
         self.torn: set[int] = set()  # points that latches no longer hold
         self.turned: set[int] = set()  # points whose slip has just turned round
+        self.latches = {k: x for k, name in enumerate(self.contacts.stops) for x in settings.latches if x.name == name}
+        self.idle: set[int] = set()  # latches and couplings whose time it is not
+        self.coupled: set[int] = set()  # couplings that hold,
+        self.worn: set[int] = set()  # and worn ones, until their times end: their force was exceeded
         self.fastest = 0.0  # velocity of a point, so far,
         self.reach = 0.0  # and the same by its terms
         self.passed: tuple[Event, ...] = ()
@@ -96,29 +101,49 @@ class TouchingCourse(Stepwise[Mode, Guard]):
     def settle(self, time: float, piece: Piece, q: Array, qd: Array) -> tuple[Array, Array]:
         """Pass the impacts at a state, and find the mode then; return the state."""
         contacts, events = self.contacts, list[Event]()
-        q = self.place(q, [k for k, x in enumerate(contacts.touch(q[None], qd[None]).gap[0]) if x <= TOUCH])
+        self.couple(time, q)
+        q = self.place(q, self.list_near(contacts.touch(q[None], qd[None])).tolist())
         M = self.dynamics.mass_matrix(q, qd, piece.at(time, q, qd))
         for number in range(MOST):
             touch = contacts.touch(q[None], qd[None])
             self.fastest = max(self.fastest, float(np.abs(touch.velocity).max()))
             self.reach = max(self.reach, float(touch.reach.max()))
-            near = np.flatnonzero(touch.gap[0] <= TOUCH)
+            near = self.list_near(touch)
             qd = self.still(touch, M, qd, near)
             touch = contacts.touch(q[None], qd[None])
             speed = np.where(np.abs(touch.speed[0]) <= STILL * self.reach, 0.0, touch.speed[0])
-            if not (speed[near] < 0).any():
+            if not ((speed[near] < 0) | ((speed[near] > 0) & np.isin(near, list(self.coupled)))).any():
                 break
             qd, found = self.hit(time, piece, q, qd, M, touch, near, speed, bounces=number < MANY)
             events += found
         else:
             raise HaltError(Halt(time, None, f"{MOST} impacts at one time", "change a restitution a little"))
-        mode = self.decide(time, piece, q, qd, [int(k) for k in near if speed[k] <= 0])
+        mode = self.decide(time, piece, q, qd, self.list_closing(near, speed))
         if self.mode is not None:
             told = {event.joint for event in events if event.kind is Kind.REST}
             events += [x for x in self.compare(time, touch, mode) if not (x.kind is Kind.REST and x.joint in told)]
         self.mode, self.passed = mode, (*self.passed, *events)
         self.released, self.turned, self.torn = set(), set(), set()
         return q, qd
+
+    def couple(self, time: float, q: Array) -> None:
+        """See which latches hold at a time; let couplings hold their numbers where they are."""
+        couplings = set(np.flatnonzero(self.contacts.couples).tolist())
+        self.idle = {k for k, latch in self.latches.items() if not latch.holds(time)} | couplings - self.latches.keys()
+        self.coupled -= self.idle
+        self.worn -= self.idle
+        for k in couplings - self.idle - self.coupled - self.worn:
+            self.coupled.add(k)
+            self.contacts.places[k] = self.contacts.measure(q)[k]
+
+    def list_near(self, touch: Touch) -> NDArray[np.intp]:
+        """List the points that touch, in one state."""
+        idle = self.contacts.couples & ~np.isin(np.arange(len(self.contacts.names)), list(self.coupled))
+        return np.flatnonzero((touch.gap[0] <= TOUCH) & ~idle)
+
+    def list_closing(self, near: NDArray[np.intp], speed: Array) -> list[int]:
+        """List the points that do not move away; couplings keep theirs either way."""
+        return [int(k) for k in near if speed[k] <= 0 or k in self.coupled]
 
     def place(self, q: Array, closed: list[int]) -> Array:
         """Put points that touch at the distance 0, by a small change of coordinates."""
@@ -157,7 +182,7 @@ class TouchingCourse(Stepwise[Mode, Guard]):
     ) -> tuple[Array, list[Event]]:
         """Pass one impact; a rebound that is too low to be seen is none."""
         restitution = self.contacts.restitution * bounces
-        points = [int(k) for k in near if speed[k] <= 0]
+        points = self.list_closing(near, speed)
         after, loads, strikes = self.strike(q, qd, M, touch, points, restitution, speed)
         last = dict[int, float]()
         rebound = np.einsum("pi,pin,n->p", touch.normal[0], touch.slide[0], after)
@@ -182,7 +207,7 @@ class TouchingCourse(Stepwise[Mode, Guard]):
         return after, [
             Event(last.get(k, time), names[k], Kind.REST if k in last else Kind.IMPACT, float(speed[k]), float(ends[k]))
             for k in points
-            if speed[k] < 0 or loads.normal[0, k] > 1e-12 * loads.normal.max()
+            if speed[k] < 0 or loads.normal[0, k] > 1e-12 * loads.normal.max() or (k in self.coupled and speed[k] > 0)
         ]
 
     def strike(
@@ -215,17 +240,25 @@ class TouchingCourse(Stepwise[Mode, Guard]):
         while True:
             held = self.find_held(points)
             mode, loads = Search(self.contacts, touch, inertia, points, slipping, self.released, held=held).find()
-            torn = {k for k in held if loads.normal[0, k] < -self.contacts.hold[k]}
+            force = np.where(self.contacts.couples, -np.abs(loads.normal[0]), loads.normal[0])
+            torn = {k for k in held if force[k] < -self.contacts.hold[k]}
             if not torn:
                 break
-            self.torn |= torn
+            self.tear(torn)
+            points = [k for k in points if k not in self.worn]
         rows = self.list_rows(touch, mode)
         is_locked = bool(rows) and np.linalg.matrix_rank(np.array(rows), tol=1e-9) == self.dynamics.size
         return replace(mode, is_locked=is_locked)
 
+    def tear(self, points: set[int]) -> None:
+        """Note the latches and couplings that hold no longer."""
+        self.torn |= points
+        self.worn |= points & self.coupled
+        self.coupled -= points
+
     def find_held(self, points: list[int]) -> set[int]:
-        """List the points that latches hold."""
-        return {k for k in points if self.contacts.hold[k] > 0} - self.torn
+        """List the points that latches and couplings hold."""
+        return {k for k in points if self.contacts.hold[k] > 0} - self.torn - self.idle
 
     def find_slipping(self, touch: Touch, points: list[int]) -> list[int]:
         """List the points that slip."""
@@ -291,9 +324,10 @@ class TouchingCourse(Stepwise[Mode, Guard]):
         guards = []
         for k, state in enumerate(mode.states):
             if state == State.OPEN:
-                guards.append(Guard(k, Bound.GAP))
+                guards += [] if self.contacts.couples[k] else [Guard(k, Bound.GAP)]
                 continue
             guards.append(Guard(k, Bound.PRESS))
+            guards += [Guard(k, Bound.PUSH)] if self.contacts.couples[k] else []
             if self.contacts.coefficient[k] > 0:
                 guards.append(Guard(k, Bound.HOLD if state == State.STICK else Bound.SLIP))
         return guards
@@ -312,7 +346,9 @@ class TouchingCourse(Stepwise[Mode, Guard]):
                 case Bound.SLIP:
                     columns.append(touch.slip[:, k] @ mode.ways[k])
                 case Bound.PRESS:
-                    columns.append(loads.normal[:, k] + self.contacts.hold[k] + slack)
+                    columns.append(loads.normal[:, k] + self.contacts.hold[k] * (k not in self.idle) + slack)
+                case Bound.PUSH:
+                    columns.append(self.contacts.hold[k] - loads.normal[:, k] + slack)
                 case Bound.HOLD:
                     most = self.contacts.coefficient[k] * loads.normal[:, k] + slack
                     columns.append(most - np.linalg.norm(loads.friction[:, k], axis=1))
@@ -321,7 +357,8 @@ class TouchingCourse(Stepwise[Mode, Guard]):
     def release(self, *_: object) -> None:
         """Note the points that are no longer held, or that turn round."""
         self.released = {x.point for x in self.fired}
-        self.torn = {x.point for x in self.fired if x.bound is Bound.PRESS}
+        self.torn = set[int]()
+        self.tear({x.point for x in self.fired if x.bound in (Bound.PRESS, Bound.PUSH)})
         self.turned = {x.point for x in self.fired if x.bound is Bound.SLIP}
 
     def gather(self, piece: Piece, mode: Mode, times: list[float], states: list[Array]) -> Chunk:
