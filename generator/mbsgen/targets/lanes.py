@@ -8,7 +8,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from mbsgen import resources
-from mbsgen.targets.contract import faces
+from mbsgen.targets.c.symbols import write_own
+from mbsgen.targets.contract import faces, name_symbol
 from mbsgen.targets.layout import lay_out
 from mbsgen.targets.unit import Unit
 
@@ -21,10 +22,11 @@ def write_lanes(unit: Unit) -> Mapping[str, str]:
     """Write the functions that choose, and the loop over states, path -> text."""
     found = [face for family in unit.families if family.integer == _INTEGER for face in faces(family, unit.prefix)]
     common = {"prefix": unit.prefix, "own": unit.own, "version": unit.version, "faces": found, "widths": WIDTHS}
+    symbols = {face.kernel: write_own(name_symbol(unit.own, face.family, face.tape), unit.own) for face in found}
     header, loop = ((resources.folder("csrc") / name).read_text(encoding="utf-8") for name in LOOP)
     return {
         name_header(unit.prefix): lay_out("c/many.h", **common),
-        f"{unit.prefix}_many.c": lay_out("c/many.c", **common),
+        f"{unit.prefix}_many.c": lay_out("c/many.c", symbols=symbols, **common),
         f"{unit.prefix}_loops.h": lay_out("c/loops.h", **common),
         LOOP[0]: header,
         LOOP[1]: f'#include "{unit.prefix}_loops.h"\n{loop}',
