@@ -47,7 +47,7 @@ MBSGEN = Package(
         "assembly.mechanism assembly.results",
         "assembly.poses assembly.choice",
         "assembly.readings",
-        "assembly.assemble assembly.findings",
+        "assembly.loops assembly.findings",
         "assembly",
         "request",
         "derivatives",

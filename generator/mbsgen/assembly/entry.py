@@ -13,7 +13,7 @@ def assemble(tree: Tree) -> Tree:
     """
     if not tree.is_constrained:
         return tree
-    from mbsgen.assembly.assemble import assemble_loops
+    from mbsgen.assembly.loops import assemble_loops
 
     return assemble_loops(tree)
 
