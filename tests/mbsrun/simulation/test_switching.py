@@ -25,6 +25,7 @@ from mbsrun.simulation.integration.complementarity import ComplementarityError, 
 from mbsrun.simulation.motion import Chunk
 from tests.mbsrun.simulation.conftest import MODELS
 from tests.mbsrun.simulation.drawn_trees import draw_tree
+from tests.mbsrun.simulation.pulses import RATE, find_slip, write_pulses
 
 Array = NDArray[np.float64]
 Make = Callable[[str], Mechanism]
@@ -301,6 +302,17 @@ def test_a_block_on_an_incline_does_not_creep_slips_at_its_limit_and_stops(make:
     motion = simulate(block, hold([0.0]), [0.3], [-1.0], Settings(1.0))
     assert times(motion, Kind.STICK) == pytest.approx([2 / (pull + 10)], abs=1e-13)
     assert motion.q[-1] == pytest.approx(0.3 - 1 / (pull + 10), abs=1e-13)
+
+
+def test_forces_that_vary_while_all_joints_rest_are_seen(make: Make) -> None:
+    """No rate tells a step that the force exceeds friction within it: 35 times in 10 s, each time by the same way."""
+    block = slide(make, "friction: {torque: 5}", mass=2.0)
+    motion = simulate(block, express([parse(write_pulses(5.0))], ["block"], {}), [0.0], [0.0], Settings(10.0))
+    begin, end, way = find_slip(5.0, 2.0)
+    every = np.arange(35) * np.pi / RATE
+    assert times(motion, Kind.SLIP) == pytest.approx(every + begin, abs=1e-9)
+    assert times(motion, Kind.STICK) == pytest.approx(every + end, abs=1e-8)
+    assert motion.q[-1] == pytest.approx([35 * way], rel=1e-6)
 
 
 def test_a_stribeck_law_starts_at_the_static_force(make: Make) -> None:

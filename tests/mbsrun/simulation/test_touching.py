@@ -25,6 +25,7 @@ from mbsrun.simulation.integration.touching import TouchingCourse
 from mbsrun.simulation.motion import Chunk, HaltError
 from tests.mbsrun.simulation.conftest import MODELS
 from tests.mbsrun.simulation.planar import HALF, NEEDED, PLANAR, POINT, ROD, grip
+from tests.mbsrun.simulation.pulses import RATE, find_slip, write_pulses
 
 Array = NDArray[np.float64]
 Make = Callable[[str], Mechanism]
@@ -274,6 +275,18 @@ def test_jumps_of_inputs_are_no_events_of_a_foot_that_stands(make: Make) -> None
     assert motion.energy.impacts[-1] == 0
     assert np.abs(motion["gap_foot"]).max() < 1e-15
     assert np.abs(motion.energy.drift).max() < 1e-7
+
+
+def test_forces_that_vary_while_a_block_stands_are_seen(make: Make) -> None:
+    """No rate tells a step that the force exceeds friction within it: seven times in 2 s, each time by the same way."""
+    limit = 0.2 * 2 * G
+    drive = express([parse(write_pulses(limit))], ["x"], {})
+    motion = simulate(make(SLEDGE), drive, [0, 0], [0, 0], Settings(2.0, output_step=0.5))
+    begin, end, way = find_slip(limit, 2.0)
+    every = np.arange(7) * np.pi / RATE
+    assert times(motion, Kind.SLIP) == pytest.approx(every + begin, abs=1e-9)
+    assert times(motion, Kind.STICK) == pytest.approx(every + end, abs=1e-8)
+    assert motion.q[-1] == pytest.approx([7 * way, 0], rel=1e-6, abs=1e-12)
 
 
 def test_a_block_that_never_moved_fast_comes_to_rest(make: Make) -> None:

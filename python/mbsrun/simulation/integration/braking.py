@@ -40,8 +40,8 @@ class BrakedCourse(Course):
     """A motion in modes of joints, as `Mode` lists them; `settle` finds the mode."""
 
     def __init__(self, dynamics: Dynamics, pair: Pair, settings: Settings, loads: Loads | None = None) -> None:
-        super().__init__()
-        self.joints, self.dynamics, self.settings = Joints.of(dynamics.kernels.manifest), dynamics, settings
+        super().__init__(settings)
+        self.joints, self.dynamics = Joints.of(dynamics.kernels.manifest), dynamics
         self.plant = Plant(dynamics, pair, settings, switches=True, loads=loads)
         self.modes: NDArray[np.int_] | None = None
         self.released: dict[int, int] = {}  # joints that are no longer held, and the directions in which they start
@@ -52,10 +52,6 @@ class BrakedCourse(Course):
         self.loss = self.driven = 0.0  # and the work of driven joints
         self.guards: tuple[Guard, ...] = ()
         self.jumps: tuple[Jump, ...] = ()
-
-    def find_longest(self, _piece: Piece) -> float:
-        """Return the longest step that may be taken by a tolerance; 0: any."""
-        return 0.0
 
     def push(self, _piece: Piece) -> Push | None:
         """Return the friction by loads in the present mode, as a function of states."""
@@ -75,7 +71,7 @@ class BrakedCourse(Course):
         time, first = piece.start, 0
         while time < piece.end:
             plant.open(piece)
-            plant.switch(brakes, guards, self.find_longest(piece))
+            plant.switch(brakes, guards, self.find_longest(piece, holds=bool(self.locking.size)))
             if self.bounces:
                 plant.bounce(self.joints.restitution, SLOW, STILL, TOUCH)
             done, halt, times, states = plant.advance(piece, state, time, first, count, allowance)

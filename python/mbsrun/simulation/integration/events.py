@@ -15,7 +15,7 @@ from mbsrun.limits import Allowance, LimitError
 from mbsrun.simulation.drive import DriveError, Piece
 from mbsrun.simulation.dynamics import SingularError
 from mbsrun.simulation.integration.steps import describe_singularity
-from mbsrun.simulation.motion import Chunk, Halt, HaltError
+from mbsrun.simulation.motion import Chunk, Halt, HaltError, Settings
 
 Array = NDArray[np.float64]
 
@@ -23,6 +23,7 @@ MANY = 100  # impacts at one time: the rest of them is one without rebounds
 MOST = 1000  # impacts at one time
 SOON = 1e-9  # s: a switch that follows another within this time is at once
 CHATTER = 200  # switches at once end a motion
+LENGTHS = 100  # steps at least of a motion whose inputs vary while something is held
 
 
 class Course(ABC):
@@ -32,7 +33,8 @@ class Course(ABC):
     lost: ClassVar[type[Exception]]  # raised where no mode goes on
     remedy: ClassVar[str]  # then
 
-    def __init__(self) -> None:
+    def __init__(self, settings: Settings) -> None:
+        self.settings = settings
         self.stalled, self.time = 0, -1.0
 
     @abstractmethod
@@ -65,6 +67,13 @@ class Course(ABC):
             raise HaltError(Halt(time, None, error.finding, error.remedy)) from None
         except self.lost as error:
             raise HaltError(Halt(time, None, str(error), self.remedy)) from None
+
+    def find_longest(self, piece: Piece, *, holds: bool) -> float:
+        """Return the longest step that may be taken by a tolerance.
+
+        Where a joint or a point is held, inputs may vary while no rate does, and errors of steps do not show it.
+        """
+        return self.settings.duration / LENGTHS if holds and not piece.is_constant else np.inf
 
     def _count(self, time: float) -> None:
         """Count the switches that follow each other at once."""

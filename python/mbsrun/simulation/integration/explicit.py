@@ -365,8 +365,8 @@ class Plant:
         call.f, call.arg, call.res = memory.lay(entry, {key: _RESULT + key for key in found})
         return found
 
-    def switch(self, brakes: Brakes, guards: Sequence[Guard], longest: float = 0.0) -> None:
-        """Hold and brake joints, and watch guards; no step by a tolerance is longer than `longest`, if not 0."""
+    def switch(self, brakes: Brakes, guards: Sequence[Guard], longest: float = np.inf) -> None:
+        """Hold and brake joints, and watch guards; no step by a tolerance is longer than `longest`."""
         arrays = self.memory.arrays
         self.whole["held"][0 : self.dynamics.size] = brakes.held
         for name in ("sign", "torque", "fall", "slowness"):

@@ -21,8 +21,6 @@ from mbsrun.simulation.motion import Mode, Push, Settings
 
 Array = NDArray[np.float64]
 
-LENGTHS = 100  # steps at least of a piece with varying inputs, where no joint moves
-
 
 class RubbingCourse(BrakedCourse):
     """A motion of joints that stick and slide under their loads."""
@@ -47,10 +45,6 @@ class RubbingCourse(BrakedCourse):
         self.modes, self.released = modes, {}
         self.locking, self.holding = np.flatnonzero(modes == Mode.STICKS), rub.lam[0]
         return q, qd
-
-    def find_longest(self, piece: Piece) -> float:
-        """Return the longest step: where no joint moves, varying inputs set it."""
-        return (piece.end - piece.start) / LENGTHS if self.is_locked and not piece.is_constant else 0.0
 
     def explain(self, halt: BaseException) -> BaseException:
         """Return why steps end early: of loads that are not known, whether they are none or several."""

@@ -31,8 +31,13 @@ ROUNDED = 1e-9  # of a fixed step: what the sum of all before it is rounded to
 CLOSEST = 4 * np.finfo(float).eps
 
 
-class Locked(Protocol):
-    """A mode, in which no joint may be able to move."""
+class Holding(Protocol):
+    """A mode, in which points may be held, and no joint may be able to move."""
+
+    @property
+    def closed(self) -> list[int]:
+        """List the points that touch."""
+        ...
 
     @property
     def is_locked(self) -> bool:
@@ -40,7 +45,7 @@ class Locked(Protocol):
         ...
 
 
-M = TypeVar("M", bound=Locked)
+M = TypeVar("M", bound=Holding)
 G = TypeVar("G")
 
 
@@ -48,10 +53,10 @@ class Stepwise(Course, Generic[M, G]):
     """A motion in modes M, while guards G are not negative."""
 
     def __init__(self, dynamics: Dynamics, pair: Pair, settings: Settings) -> None:
-        super().__init__()
+        super().__init__(settings)
         formulation = dynamics.formulation
         own = Formulation.SEMI if formulation.evaluated.is_direct else formulation
-        self.dynamics, self.pair, self.settings = replace(dynamics, formulation=own), pair, settings
+        self.dynamics, self.pair = replace(dynamics, formulation=own), pair
         tableau = pair.tableau
         self.A, self.b, self.c = (np.array(x, dtype=np.float64) for x in (tableau.A, tableau.b, tableau.c))
         self.E = np.array(pair.E, dtype=np.float64)
@@ -109,6 +114,7 @@ class Stepwise(Course, Generic[M, G]):
         assert self.mode is not None, "a mode was found"
         mode, guards = self.mode, self.list_guards(self.mode)
         count = 0 if len(self.E) else count_steps(piece, self.settings.step)
+        longest = self.find_longest(piece, holds=bool(mode.closed))
         fixed = (piece.end - piece.start) / count if count else 0.0
         time, x = piece.start, np.concatenate((q, qd))
         times, states = [time], [x]
@@ -117,7 +123,7 @@ class Stepwise(Course, Generic[M, G]):
             allowance.spend()
             allowance.note(0)
             left = piece.end - time
-            h = fixed or min(self.length or min(left, 1e-3), left)
+            h = fixed or min(self.length or min(left, 1e-3), left, longest)
             try:
                 h, y = self.advance(piece, mode, time, x, h, fixed=bool(fixed))
                 found = self.look(piece, mode, guards, time, x, h, y)
