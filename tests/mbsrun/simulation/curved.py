@@ -89,7 +89,9 @@ class Kernels:
     def manifest(self) -> Any:
         """Return the contacts."""
         rigid = [
-            SimpleNamespace(name=f"p{k}", restitution=0.0, coefficient=mu, hold=0.0, is_stop=k == 1)
+            SimpleNamespace(
+                name=f"p{k}", restitution=0.0, coefficient=mu, hold=0.0, is_stop=k == 1, stop=f"p{k}", is_coupling=False
+            )
             for k, mu in enumerate(self.shape.friction)
         ]
         return SimpleNamespace(rigid=rigid, inputs=("a", "b"), owners=())

@@ -227,7 +227,7 @@ def test_motion_that_decays_a_few_times_alone_is_not_stiff(
 @pytest.mark.parametrize(("depth", "is_inside"), [(0.9e-6, False), (1.1e-6, True)])
 def test_starts_inside_the_other_side_are_refused(depth: float, is_inside: bool) -> None:
     """From a micrometre on, with the deepest point's name."""
-    points = [SimpleNamespace(name=x, is_stop=False) for x in "ab"]
+    points = [SimpleNamespace(name=x, is_stop=False, is_coupling=False) for x in "ab"]
 
     class Kernels:
         manifest = SimpleNamespace(rigid=points)

@@ -305,7 +305,7 @@ def test_a_block_on_an_incline_does_not_creep_slips_at_its_limit_and_stops(make:
 
 
 def test_forces_that_vary_while_all_joints_rest_are_seen(make: Make) -> None:
-    """No rate tells a step that the force exceeds friction within it: 35 times in 10 s, each time by the same way."""
+    """Rates are 0 while the force rises above friction: 35 times in 10 s, each time by the same way."""
     block = slide(make, "friction: {torque: 5}", mass=2.0)
     motion = simulate(block, express([parse(write_pulses(5.0))], ["block"], {}), [0.0], [0.0], Settings(10.0))
     begin, end, way = find_slip(5.0, 2.0)

@@ -278,7 +278,7 @@ def test_jumps_of_inputs_are_no_events_of_a_foot_that_stands(make: Make) -> None
 
 
 def test_forces_that_vary_while_a_block_stands_are_seen(make: Make) -> None:
-    """No rate tells a step that the force exceeds friction within it: seven times in 2 s, each time by the same way."""
+    """Rates are 0 while the force rises above friction: seven times in 2 s, each time by the same way."""
     limit = 0.2 * 2 * G
     drive = express([parse(write_pulses(limit))], ["x"], {})
     motion = simulate(make(SLEDGE), drive, [0, 0], [0, 0], Settings(2.0, output_step=0.5))

@@ -13,7 +13,7 @@ from mbsrun.kernel import KernelError, Place
 from mbsrun.limits import Allowance, Limits
 from mbsrun.simulation import Kind
 from mbsrun.simulation.formulation import Formulation
-from mbsrun.simulation.integration.contacts import Mode, State, Touch
+from mbsrun.simulation.integration.contacts import Mode, State
 from mbsrun.simulation.integration.tableaus import EULER, RK4, RK45, Pair
 from mbsrun.simulation.integration.touching import Bound, Guard, TouchingCourse, _lift, _name_change
 from mbsrun.simulation.motion import Chunk, Event, HaltError, Impacts, Settings
@@ -207,14 +207,13 @@ def test_points_are_placed_by_three_steps_of_newtons_method() -> None:
     motion = course(drop(Floor(row=(1.0,)), pull=(0.0,), M=((1.0,),)))
     calls: list[float] = []
 
-    def bowl(q: Array, _qd: Array) -> Touch:
+    def bowl(q: Array) -> tuple[Array, Array, Array]:
         calls.append(float(q[0, 0]))
         slide, normal = np.zeros((1, 1, 3, 1)), np.zeros((1, 1, 3))
         slide[0, 0, 2, 0], normal[0, 0, 2] = 2 * q[0, 0], 1
-        zero = np.zeros((1, 1, 3))
-        return Touch(q**2, normal, slide, zero, np.zeros((1, 1)), zero, np.zeros((1, 1)))
+        return q**2, normal, slide
 
-    setattr(motion.contacts, "touch", bowl)  # noqa: B010
+    setattr(motion.contacts, "locate", bowl)  # noqa: B010
     assert motion.place(np.array([0.8]), [0]) == pytest.approx([0.1])
     assert calls == pytest.approx([0.8, 0.4, 0.2])
     assert motion.place(np.array([0.8]), []).tolist() == [0.8]
@@ -291,10 +290,10 @@ def test_a_mode_is_locked_where_its_points_leave_no_motion() -> None:
 
 def test_points_that_stick_keep_three_velocities_at_rest_and_others_one() -> None:
     motion = course(drop(Floor(along=(1.0, 0.0), coefficient=1.0), Floor(along=(1.0, 0.0))))
-    touch = motion.contacts.touch(np.zeros((1, 2)), np.zeros((1, 2)))
-    assert len(motion.list_rows(touch, mode(STICK, OPEN))) == 3
-    assert np.array(motion.list_rows(touch, mode(SLIP, OPEN))).tolist() == [[0.0, 1.0]]
-    assert np.array(motion.list_rows(touch, mode(OPEN, STICK))).tolist() == [[0.0, 1.0]]
+    _, normal, slide = motion.contacts.locate(np.zeros((1, 2)))
+    assert motion.list_rows(normal, slide, mode(STICK, OPEN)).shape == (1, 3, 2)
+    assert motion.list_rows(normal, slide, mode(SLIP, OPEN)).tolist() == [[[0.0, 1.0]]]
+    assert motion.list_rows(normal, slide, mode(OPEN, STICK)).tolist() == [[[0.0, 1.0]]]
 
 
 def test_a_step_without_contact_is_the_methods_own() -> None:

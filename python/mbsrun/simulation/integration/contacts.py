@@ -118,8 +118,7 @@ class Contacts:
 
     def touch(self, q: Array, qd: Array) -> Touch:
         """Describe the points in states (K, nq), (K, n)."""
-        gap, normal, slide = self._place(q)
-        gap = gap - self.places
+        gap, normal, slide = self.locate(q)
         velocity = np.einsum("kpin,kn->kpi", slide, qd)
         rates, slopes = self.dynamics.rates(q, qd), self.dynamics.kernels("jac_touching", q=q)
         K, points, _, n = slide.shape
@@ -129,6 +128,11 @@ class Contacts:
         pull = (turn * velocity).sum(axis=2) + (normal * drift).sum(axis=2)
         reach = np.einsum("kpin,kn->kpi", np.abs(slide), np.abs(qd)).max(axis=2)
         return Touch(gap, normal, slide, velocity, pull, drift, reach)
+
+    def locate(self, q: Array) -> tuple[Array, Array, Array]:
+        """Return gaps (K, P), normals (K, P, 3) and Jacobians (K, P, 3, n) at poses."""
+        distance, normal, slide = self._place(q)
+        return distance - self.places, normal, slide
 
     def measure(self, q: Array) -> Array:
         """Return the distances at one pose, of couplings the numbers themselves, (P,)."""

@@ -146,15 +146,16 @@ class TouchingCourse(Stepwise[Mode, Guard]):
         return [int(k) for k in near if speed[k] <= 0 or k in self.coupled]
 
     def place(self, q: Array, closed: list[int]) -> Array:
-        """Put points that touch at the distance 0, by a small change of coordinates."""
+        """Put points that touch at the distance 0, by a small change of coordinates (..., nq)."""
+        placed = q.reshape(-1, q.shape[-1])
         for _ in range(3 if closed else 0):
-            touch = self.contacts.touch(q[None], np.zeros((1, self.dynamics.size)))
-            rows = np.einsum("pi,pin->pn", touch.normal[0], touch.slide[0])[closed]
-            change = -np.linalg.lstsq(rows, touch.gap[0, closed], rcond=1e-10)[0]
-            q = q + self.dynamics.rates(q, change)
+            gap, normal, slide = self.contacts.locate(placed)
+            rows = np.einsum("kpi,kpin->kpn", normal[:, closed], slide[:, closed])
+            change = -_find_least(rows, gap[:, closed])
+            placed = placed + self.dynamics.rates(placed, change)
             if np.abs(change).max() < 1e-15:
                 break
-        return q
+        return placed.reshape(q.shape)
 
     def still(self, touch: Touch, M: Array, qd: Array, near: NDArray[np.intp]) -> Array:
         """Take rounding out of the velocities of points that are at rest."""
@@ -246,8 +247,8 @@ class TouchingCourse(Stepwise[Mode, Guard]):
                 break
             self.tear(torn)
             points = [k for k in points if k not in self.worn]
-        rows = self.list_rows(touch, mode)
-        is_locked = bool(rows) and np.linalg.matrix_rank(np.array(rows), tol=1e-9) == self.dynamics.size
+        rows = self.list_rows(touch.normal, touch.slide, mode)[0]
+        is_locked = len(rows) > 0 and np.linalg.matrix_rank(rows, tol=1e-9) == self.dynamics.size
         return replace(mode, is_locked=is_locked)
 
     def tear(self, points: set[int]) -> None:
@@ -301,21 +302,17 @@ class TouchingCourse(Stepwise[Mode, Guard]):
         if not closed:
             return x
         q, qd = np.split(x, [self.dynamics.places], axis=1)
-        ends = np.empty_like(x)
-        for i in range(len(x)):
-            place = self.place(q[i], closed)
-            J = np.array(self.list_rows(self.contacts.touch(place[None], qd[i][None]), mode))
-            ends[i] = np.concatenate((place, qd[i] - np.linalg.lstsq(J, J @ qd[i], rcond=1e-10)[0]))
-        return ends
+        q = self.place(q, closed)
+        J = self.list_rows(*self.contacts.locate(q)[1:], mode)
+        return np.hstack((q, qd - _find_least(J, (J @ qd[..., None])[..., 0])))
 
-    def list_rows(self, touch: Touch, mode: Mode) -> list[Array]:
-        """List the derivatives by qd of the velocities that a mode keeps at 0, (n,) each."""
-        rows = list[Array]()
+    def list_rows(self, normal: Array, slide: Array, mode: Mode) -> Array:
+        """List the derivatives by qd of the velocities that a mode keeps at 0, (K, rows, n)."""
+        rows = [np.zeros((len(slide), 0, self.dynamics.size))]
         for k in mode.closed:
-            S = touch.slide[0, k]
             sticks = mode.states[k] == State.STICK and self.contacts.coefficient[k] > 0
-            rows += list(S) if sticks else [touch.normal[0, k] @ S]
-        return rows
+            rows.append(slide[:, k] if sticks else normal[:, k, None] @ slide[:, k])
+        return np.concatenate(rows, axis=1)
 
     # --- events ---
 
@@ -383,6 +380,11 @@ def _lift(J: Array, M: Array, right: Array) -> Array:
     """Return the change of velocities, least in M, with J change = right."""
     response = np.linalg.solve(M, J.T)
     return np.asarray(response @ (np.linalg.pinv(J @ response, rcond=1e-10) @ right))
+
+
+def _find_least(J: Array, right: Array) -> Array:
+    """Return the least changes (K, n) with J change = right, J (K, m, n)."""
+    return np.asarray((np.linalg.pinv(J, rcond=1e-10) @ right[..., None])[..., 0])
 
 
 def _name_change(old: State, new: State) -> Kind | None:
