@@ -56,10 +56,10 @@ def main() -> None:
     weighings = [x for i in range(1, 8) if (x := weigh(f"link{i}", motion, arguments.weighed))]
     seeds = range(arguments.recordings)
     inside = {
-        "two links, 6 base parameters, 300 times": count_inside(
+        "two links, 6 base parameters, 300 samples each": count_inside(
             TWO_LINK, swing(2, np.arange(300) / 30, 3), NOISE, seeds
         ),
-        "Panda, 43 base parameters, 500 times": count_inside(PANDA, thin(motion, 20), NOISE, seeds),
+        "Panda, 43 base parameters, 500 samples each": count_inside(PANDA, thin(motion, 20), NOISE, seeds),
     }
     arguments.out.parent.mkdir(parents=True, exist_ok=True)
     arguments.out.write_text(write_page(seconds, found, weighings, inside, arguments.recordings), encoding="utf-8")
