@@ -14,6 +14,7 @@ from mbsrun.limits import Allowance, Limits
 from mbsrun.simulation import Kind
 from mbsrun.simulation.formulation import Formulation
 from mbsrun.simulation.integration.contacts import Mode, State
+from mbsrun.simulation.integration.stepwise import LOOKS
 from mbsrun.simulation.integration.tableaus import EULER, RK4, RK45, Pair
 from mbsrun.simulation.integration.touching import Bound, Guard, TouchingCourse, _lift, _name_change
 from mbsrun.simulation.motion import Chunk, Event, HaltError, Impacts, Settings
@@ -365,9 +366,9 @@ def test_steps_grow_and_shrink_with_their_error(monkeypatch: pytest.MonkeyPatch)
         told = iter([error, 1.0])
         monkeypatch.setattr(TouchingCourse, "estimate", lambda *_, told=told: next(told))
         motion.dynamics.effort.rejected = None
-        h, y = motion.advance(PIECE, mode(OPEN), 0.0, x, 0.01, fixed=False)
+        h, ends = motion.advance(PIECE, mode(OPEN), 0.0, x, 0.01, fixed=False)
         assert h == pytest.approx(0.01 * factor, rel=1e-14)
-        assert y == pytest.approx([0, 1 - 5 * h * h, 0, -10 * h])
+        assert ends == pytest.approx(np.array([[0, 1 - 5 * t * t, 0, -10 * t] for t in h * LOOKS]))
         assert motion.dynamics.effort.rejected == 1
     monkeypatch.setattr(TouchingCourse, "estimate", lambda *_: np.nan)
     assert motion.advance(PIECE, mode(OPEN), 0.0, x, 0.01, fixed=True)[0] == 0.01
@@ -446,8 +447,8 @@ def test_a_point_that_enters_within_a_step_is_seen_where_it_is_looked_at(begin: 
     """The distance (t - begin)(t - end) is looked at four times in a step, and found at its first 0."""
     motion = course(drop(Floor(row=(1.0,)), pull=(2.0,), M=((1.0,),)))
     x, guards = np.array([begin * end, -(begin + end)]), [Guard(0, Bound.GAP)]
-    y = motion.step(PIECE, mode(OPEN), np.zeros(1), x[None], np.ones(1))[0][0]
-    found = motion.look(PIECE, mode(OPEN), guards, 0.0, x, 1.0, y)
+    ends = motion.step(PIECE, mode(OPEN), np.zeros(4), np.tile(x, (4, 1)), LOOKS)[0]
+    found = motion.look(PIECE, mode(OPEN), guards, 0.0, x, 1.0, ends)
     if end in (0.45, 0.74):  # between two looks
         assert found is None
         return
@@ -456,16 +457,15 @@ def test_a_point_that_enters_within_a_step_is_seen_where_it_is_looked_at(begin: 
     assert length == pytest.approx(begin, rel=1e-12)
     assert state == pytest.approx([0.0, begin - end], abs=1e-12)
     assert (motion.released, motion.torn, motion.turned) == ({0}, set(), set())
-    assert motion.look(PIECE, mode(OPEN), [], 0.0, x, 1.0, y) is None
+    assert motion.look(PIECE, mode(OPEN), [], 0.0, x, 1.0, ends) is None
 
 
 def test_of_several_points_the_first_event_ends_a_step_and_those_at_the_same_time_are_of_it() -> None:
     floors = tuple(Floor((1.0,), offset=x, name=str(x)) for x in (1.0, 0.5, 0.5, 2.0))
     motion = course(drop(*floors, pull=(0.0,), M=((1.0,),)))
     guards = [Guard(k, Bound.GAP) for k in range(4)]
-    found = motion.look(
-        PIECE, mode(OPEN, OPEN, OPEN, OPEN), guards, 0.0, np.array([0.0, -4.0]), 1.0, np.array([-4.0, -4.0])
-    )
+    ends = np.array([[-4 * t, -4.0] for t in LOOKS])
+    found = motion.look(PIECE, mode(OPEN, OPEN, OPEN, OPEN), guards, 0.0, np.array([0.0, -4.0]), 1.0, ends)
     assert found is not None
     assert found[0] == pytest.approx(0.125, rel=1e-12)
     assert motion.released == {1, 2}

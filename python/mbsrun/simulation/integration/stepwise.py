@@ -26,7 +26,7 @@ from mbsrun.simulation.motion import Chunk, Dense, Halt, HaltError, Settings
 Array = NDArray[np.float64]
 
 STEPS = 64  # yielded at a time
-LOOKS = np.array([0.25, 0.5, 0.75])  # within a step, for numbers that fall below 0 and rise again
+LOOKS = np.array([0.25, 0.5, 0.75, 1.0])  # parts of a step, for numbers that fall below 0 and rise again within it
 ROUNDED = 1e-9  # of a fixed step: what the sum of all before it is rounded to
 CLOSEST = 4 * np.finfo(float).eps
 
@@ -125,8 +125,8 @@ class Stepwise(Course, Generic[M, G]):
             left = piece.end - time
             h = fixed or min(self.length or min(left, 1e-3), left, longest)
             try:
-                h, y = self.advance(piece, mode, time, x, h, fixed=bool(fixed))
-                found = self.look(piece, mode, guards, time, x, h, y)
+                h, ends = self.advance(piece, mode, time, x, h, fixed=bool(fixed))
+                y, found = ends[-1], self.look(piece, mode, guards, time, x, h, ends)
             except KernelError:  # as of points far inside each other, which have no distance
                 self.length = h / 4
                 if fixed or self.length < 1e-14 * max(1.0, time):
@@ -153,17 +153,17 @@ class Stepwise(Course, Generic[M, G]):
                 times, states = [time], [x]
 
     def advance(self, piece: Piece, mode: M, time: float, x: Array, h: float, *, fixed: bool) -> tuple[float, Array]:
-        """Take a step, as long as the tolerance allows; return its length and its end."""
-        effort = self.dynamics.effort
+        """Take a step, as long as the tolerance allows; return its length, and the states after its parts (LOOKS)."""
+        effort, count = self.dynamics.effort, len(LOOKS)
         while True:
-            y, stages = self.step(piece, mode, np.array([time]), x[None], np.array([h]))
+            y, stages = self.step(piece, mode, np.full(count, time), np.repeat(x[None], count, axis=0), h * LOOKS)
             if fixed:
-                return h, y[0]
-            error = self.estimate(h, x, y[0], stages[:, 0], piece, mode, time)
+                return h, y
+            error = self.estimate(h, x, y[-1], stages[:, -1], piece, mode, time)
             factor = 0.25 if not np.isfinite(error) else 10.0 if error == 0 else 0.9 * error ** (-1 / self.pair.order)
             self.length = h * min(10.0, max(0.2, factor))
             if error <= 1:
-                return h, y[0]
+                return h, y
             effort.rejected = (effort.rejected or 0) + 1
             h = self.length
             if h < 1e-14 * max(1.0, time):
@@ -184,24 +184,24 @@ class Stepwise(Course, Generic[M, G]):
         return h * squares[0] / float(np.sqrt((squares[0] + 0.01 * squares[1]) * len(x)))
 
     def look(
-        self, piece: Piece, mode: M, guards: list[G], time: float, x: Array, h: float, y: Array
+        self, piece: Piece, mode: M, guards: list[G], time: float, x: Array, h: float, ends: Array
     ) -> tuple[float, Array] | None:
-        """Find the first event in a step; return the length up to it, and the state there."""
+        """Find the first event in a step, by the states after its parts; return the length up to it, and the state."""
         if not guards:
             return None
-        parts = h * np.append(LOOKS, 1.0)
-        inner = self.step(piece, mode, np.full(3, time), np.repeat(x[None], 3, axis=0), parts[:3])[0]
-        states = np.vstack((inner, y))
-        values = self.measure(piece, mode, guards, time + parts, states)
+        parts = h * LOOKS
+        values = self.measure(piece, mode, guards, time + parts, ends)
         if (values >= 0).all():
             return None
         first = int(np.flatnonzero((values < 0).any(axis=1))[0])
         high, low = parts[first], parts[first - 1] if first else 0.0
-        ends = [(self.locate(piece, mode, guards[j], time, x, low, high), j) for j in np.flatnonzero(values[first] < 0)]
-        length, _ = min(ends)
+        falls = [
+            (self.locate(piece, mode, guards[j], time, x, low, high), j) for j in np.flatnonzero(values[first] < 0)
+        ]
+        length, _ = min(falls)
         state = self.step(piece, mode, np.array([time]), x[None], np.array([length]))[0][0]
         at = self.measure(piece, mode, guards, np.array([time + length]), state[None])[0]
-        near = [j for end, j in ends if end <= length * (1 + 1e-12) or at[j] <= 0]
+        near = [j for end, j in falls if end <= length * (1 + 1e-12) or at[j] <= 0]
         self.fired = tuple(guards[j] for j in near)
         self.release(piece, mode, time + length, state)
         return length, state
