@@ -1057,8 +1057,8 @@ static int run_adaptive(mbs_run *r, casadi_real end, casadi_real *h, casadi_int 
         const casadi_real t = times[r->out->steps], left = end - t;
         const casadi_real *x = states + size * r->out->steps;
         casadi_real *y = states + size * (r->out->steps + 1), length = *h, error = 0, factor;
-        if (r->p->modes && r->p->modes->longest > 0 && length > r->p->modes->longest)
-            length = r->p->modes->longest;
+        if (r->how->longest > 0 && length > r->how->longest)
+            length = r->how->longest;
         if (length >= 0.99 * left)
             length = left;
         else if (2 * length > left)

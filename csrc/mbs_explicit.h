@@ -96,7 +96,6 @@ typedef struct {
     casadi_int bounces;               /* written: how many; */
     casadi_int *row, *guard;          /* of each, the row with the state after it, and the guard that fell, */
     casadi_real *impulse;             /* and the impulse away from the stop */
-    casadi_real longest;              /* no step by a tolerance is longer; 0: any may be */
     const mbs_loads *loads;           /* of a tree; or NULL */
 } mbs_modes;
 
@@ -127,6 +126,7 @@ typedef struct {
     casadi_int stages, estimates, order; /* order: of the estimate, plus 1 */
     const casadi_real *A, *b, *c, *E;
     casadi_real rtol, atol, alpha, beta;
+    casadi_real longest;          /* no step by a tolerance is longer; 0: any may be */
     int keeping;                  /* MBS_PARTITIONING, ... */
     int (*guide)(casadi_real t);  /* writes `course`; NULL: it is constant */
     int (*inputs)(casadi_real t); /* writes the inputs, and may read q and qd; NULL: they are constant */

@@ -150,6 +150,15 @@ def test_inputs_at_a_jump_are_the_next_ones(bench: Mechanism) -> None:
     assert motion.inputs == pytest.approx(values[[0, 0, 1, 1, 2, 2, 2, 2, 2]])
 
 
+@pytest.mark.parametrize("method", ADAPTIVE)
+def test_a_late_pulse_of_the_inputs_is_seen(bench: Mechanism, method: str) -> None:
+    """All rest for 7.1 s, and errors of steps are 0; then the slider of 0.3 kg gets the impulse of 0.2 N s."""
+    pulse = [parse(text) for text in ("max(0, 1 - abs(t - 7.3)/0.2)", "0", "0", "0")]
+    drive = express(pulse, ["slider", "x", "y", "z"], {})
+    motion = simulate(bench.with_parameters(k=0.0), drive, [0, 0, 0], [0, 0, 0], Settings(20.0, method))
+    assert motion.qd[-1] == pytest.approx([0, 0.2 / 0.3, 0], rel=1e-5, abs=1e-12)
+
+
 @pytest.mark.parametrize("method", FIXED)
 def test_steps_are_counted_over_all_pieces_of_the_inputs(bench: Mechanism, method: str) -> None:
     """Each of three pieces takes a step at least; two steps end with the second."""

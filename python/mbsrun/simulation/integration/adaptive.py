@@ -18,7 +18,7 @@ from mbsrun.kernel import KernelError
 from mbsrun.limits import Allowance, LimitError
 from mbsrun.simulation.drive import DriveError, Piece
 from mbsrun.simulation.dynamics import Dynamics, SingularError
-from mbsrun.simulation.integration.steps import describe_singularity
+from mbsrun.simulation.integration.steps import describe_singularity, find_longest
 from mbsrun.simulation.motion import Chunk, Halt, HaltError, Settings
 
 Array = NDArray[np.float64]
@@ -97,7 +97,8 @@ def _make_solver(stepper: str, dynamics: Dynamics, piece: Piece, state: Array, s
         q, qd = y[:n], y[n:]
         return np.block([[*dynamics.rate_slopes(q, qd)], [*dynamics.slopes(q, qd, piece.at(t))]])
 
-    options: dict[str, Any] = {"rtol": settings.rtol, "atol": settings.atol}
+    longest = find_longest(settings.duration, piece, dynamics.course)
+    options: dict[str, Any] = {"rtol": settings.rtol, "atol": settings.atol, "max_step": longest}
     if piece.law is None:  # else by differences, feedback and all
         options["jac"] = jacobian
     from scipy import integrate as scipy_integrate  # takes long to load, and few motions need it

@@ -71,7 +71,7 @@ class BrakedCourse(Course):
         time, first = piece.start, 0
         while time < piece.end:
             plant.open(piece)
-            plant.switch(brakes, guards, self.find_longest(piece, holds=bool(self.locking.size)))
+            plant.switch(brakes, guards)
             if self.bounces:
                 plant.bounce(self.joints.restitution, SLOW, STILL, TOUCH)
             done, halt, times, states = plant.advance(piece, state, time, first, count, allowance)

@@ -23,7 +23,6 @@ MANY = 100  # impacts at one time: the rest of them is one without rebounds
 MOST = 1000  # impacts at one time
 SOON = 1e-9  # s: a switch that follows another within this time is at once
 CHATTER = 200  # switches at once end a motion
-LENGTHS = 100  # steps at least of a motion whose inputs vary while something is held
 
 
 class Course(ABC):
@@ -67,13 +66,6 @@ class Course(ABC):
             raise HaltError(Halt(time, None, error.finding, error.remedy)) from None
         except self.lost as error:
             raise HaltError(Halt(time, None, str(error), self.remedy)) from None
-
-    def find_longest(self, piece: Piece, *, holds: bool) -> float:
-        """Return the longest step that may be taken by a tolerance.
-
-        Where a joint or a point is held, inputs may vary while no rate does, and errors of steps do not show it.
-        """
-        return self.settings.duration / LENGTHS if holds and not piece.is_constant else np.inf
 
     def _count(self, time: float) -> None:
         """Count the switches that follow each other at once."""

@@ -26,7 +26,7 @@ from mbsrun.simulation.course import Course, is_constrained, place_driven
 from mbsrun.simulation.drive import DriveError, Piece
 from mbsrun.simulation.dynamics import Dynamics, Equations, find_mass_matrix
 from mbsrun.simulation.formulation import Formulation
-from mbsrun.simulation.integration.steps import count_steps, describe_singularity, place_steps
+from mbsrun.simulation.integration.steps import count_steps, describe_singularity, find_longest, place_steps
 from mbsrun.simulation.integration.tableaus import DOP853, EULER, RK4, RK45, Pair, Tableau
 from mbsrun.simulation.memory import Memory, load_functions
 from mbsrun.simulation.motion import Chunk, Guard, Halt, HaltError, Keeping, Settings
@@ -77,7 +77,6 @@ typedef struct {
     long long bounces;
     long long *row, *guard;
     double *impulse;
-    double longest;
     const mbs_loads *loads;
 } mbs_modes;
 typedef struct {
@@ -92,7 +91,7 @@ typedef struct {
 typedef struct {
     long long stages, estimates, order;
     const double *A, *b, *c, *E;
-    double rtol, atol, alpha, beta;
+    double rtol, atol, alpha, beta, longest;
     int keeping;
     int (*guide)(double t);
     int (*inputs)(double t);
@@ -365,8 +364,8 @@ class Plant:
         call.f, call.arg, call.res = memory.lay(entry, {key: _RESULT + key for key in found})
         return found
 
-    def switch(self, brakes: Brakes, guards: Sequence[Guard], longest: float = np.inf) -> None:
-        """Hold and brake joints, and watch guards; no step by a tolerance is longer than `longest`."""
+    def switch(self, brakes: Brakes, guards: Sequence[Guard]) -> None:
+        """Hold and brake joints, and watch guards."""
         arrays = self.memory.arrays
         self.whole["held"][0 : self.dynamics.size] = brakes.held
         for name in ("sign", "torque", "fall", "slowness"):
@@ -376,7 +375,7 @@ class Plant:
                 arrays[_MODE + name][k] = getattr(guard, name)
             for name in ("kind", "joint", "place"):
                 self.whole[name][k] = getattr(guard, name)
-        self.modes.guards, self.modes.most, self.modes.longest = len(guards), 0, longest
+        self.modes.guards, self.modes.most = len(guards), 0
 
     def bounce(self, restitution: Array, slow: float, still: float, touch: float) -> None:
         """Pass impacts that need no decision, with restitutions (n,), until the next `switch`."""
@@ -398,6 +397,7 @@ class Plant:
 
     def _lay_manner(self, pair: Pair, settings: Settings) -> None:
         memory, tableau, m = self.memory, pair.tableau, self.manner
+        self.duration = settings.duration
         self.nodes = np.append(tableau.c, 1.0)
         m.stages, m.estimates, m.order = len(tableau.b), len(pair.E), pair.order
         for name, values in (("A", tableau.A), ("b", tableau.b), ("c", tableau.c), ("E", pair.E)):
@@ -423,6 +423,7 @@ class Plant:
         """Take the inputs of a piece."""
         self.feed.open(piece)
         self.manner.inputs = self.ffi.NULL if piece.is_constant else self.inputs
+        self.manner.longest = find_longest(self.duration, piece, self.dynamics.course)
 
     def run(
         self, piece: Piece, state: Array, times: Array, steps: int, length: float | None

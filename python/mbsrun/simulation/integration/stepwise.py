@@ -19,7 +19,7 @@ from mbsrun.simulation.drive import Piece
 from mbsrun.simulation.dynamics import Dynamics
 from mbsrun.simulation.formulation import Formulation
 from mbsrun.simulation.integration.events import Course
-from mbsrun.simulation.integration.steps import count_steps
+from mbsrun.simulation.integration.steps import count_steps, find_longest
 from mbsrun.simulation.integration.tableaus import Pair
 from mbsrun.simulation.motion import Chunk, Dense, Halt, HaltError, Settings
 
@@ -31,13 +31,8 @@ ROUNDED = 1e-9  # of a fixed step: what the sum of all before it is rounded to
 CLOSEST = 4 * np.finfo(float).eps
 
 
-class Holding(Protocol):
-    """A mode, in which points may be held, and no joint may be able to move."""
-
-    @property
-    def closed(self) -> list[int]:
-        """List the points that touch."""
-        ...
+class Locked(Protocol):
+    """A mode, in which no joint may be able to move."""
 
     @property
     def is_locked(self) -> bool:
@@ -45,7 +40,7 @@ class Holding(Protocol):
         ...
 
 
-M = TypeVar("M", bound=Holding)
+M = TypeVar("M", bound=Locked)
 G = TypeVar("G")
 
 
@@ -114,7 +109,7 @@ class Stepwise(Course, Generic[M, G]):
         assert self.mode is not None, "a mode was found"
         mode, guards = self.mode, self.list_guards(self.mode)
         count = 0 if len(self.E) else count_steps(piece, self.settings.step)
-        longest = self.find_longest(piece, holds=bool(mode.closed))
+        longest = find_longest(self.settings.duration, piece, self.dynamics.course)
         fixed = (piece.end - piece.start) / count if count else 0.0
         time, x = piece.start, np.concatenate((q, qd))
         times, states = [time], [x]
