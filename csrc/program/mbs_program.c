@@ -79,6 +79,7 @@ static int call(const mbs_program_instance *p, const mbs_program_call *call)
     return p->program->functions[call->function](p->arguments, p->results, p->integers, p->reals, 0);
 }
 
+#ifdef MBS_PROGRAM_LANES
 /* Count the calls from this step on that can be made at once. */
 static int count_abreast(const mbs_program_lanes *lanes, const mbs_program_step *step, int steps)
 {
@@ -127,6 +128,20 @@ static int call_abreast(const mbs_program_instance *p, const mbs_program_step *s
         }
     return 0;
 }
+#endif
+
+/* Make the call of a step, with those after it that can be made at once. Returns how many, or 0 where one has no result. */
+static int make_calls(const mbs_program_instance *p, const mbs_program_step *step, int steps)
+{
+#ifdef MBS_PROGRAM_LANES
+    const int count = count_abreast(p->lanes, step, steps);
+    if (count > 1 && call_abreast(p, step, count) == 0)
+        return count;
+#else
+    (void)steps;
+#endif
+    return call(p, step->call) ? 0 : 1;
+}
 
 static real *append(real *end, const real *numbers, int count)
 {
@@ -149,19 +164,16 @@ static real *begin(const mbs_program_instance *p, int k, const real *x, const re
 
 static int run(const mbs_program_instance *p, const mbs_program_script *script, real *end)
 {
-    int i, abreast = 0;
+    int i, made = 0;
     append(end, script->start, script->constants);
     for (i = 0; i < script->steps; ++i) {
         const mbs_program_step *step = &script->step[i];
         add_terms(&step->terms, p->W);
-        if (step->call == NULL || abreast-- > 0)
+        if (step->call == NULL)
             continue;
-        abreast = count_abreast(p->lanes, step, script->steps - i) - 1;
-        if (abreast > 0 && call_abreast(p, step, abreast + 1) == 0)
-            continue;
-        abreast = 0;
-        if (call(p, step->call))
+        if (made == 0 && (made = make_calls(p, step, script->steps - i)) == 0)
             return -1;
+        --made;
     }
     return 0;
 }

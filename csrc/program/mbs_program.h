@@ -77,7 +77,8 @@ typedef struct {
     const int *argument, *result;  /* how many numbers each has */
 } mbs_program_abreast;
 
-/* Functions for `lanes` calls at once, by their numbers among the functions of the program. */
+/* Functions for `lanes` calls at once, by their numbers among the functions of the program. They are used where
+ * MBS_PROGRAM_LANES is defined. */
 typedef struct {
     int lanes;
     const mbs_program_abreast *function;

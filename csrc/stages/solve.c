@@ -383,6 +383,7 @@ static real first_barrier(const mbs_stages *s)
     return first > least ? first : least;
 }
 
+#ifndef MBS_STAGES_REALTIME
 /* The first barrier parameter near the solution of another problem: the violation after a step, which falls with the
  * square of the one before, within the last one that the tolerance asks for and the usual one. */
 static real near_barrier(const mbs_stages *s, real usual, real violation)
@@ -391,6 +392,7 @@ static real near_barrier(const mbs_stages *s, real usual, real violation)
     const real first = own > last ? own : last;
     return first < usual && !(mbs_stages_least_barrier(s) > 0) ? first : usual;
 }
+#endif
 
 /* Put a warm start on the central path. Where its first step is short, bounds that bind change, and it needs a higher
  * barrier parameter: the higher, the farther it is from its rows. The caller may choose one. */
@@ -402,8 +404,10 @@ static int centre_warm(mbs_stages *s, mbs_stages_phase *p)
             return -1;
         violation = mbs_stages_largest(s->rows, p->c);
         s->farther = violation * violation < WARM_BARRIER ? violation * violation : WARM_BARRIER;
+#ifndef MBS_STAGES_REALTIME /* a step in real time keeps the barrier parameter that it aims at */
         if (s->options.warm_start_init_point == 2)
             p->mu = near_barrier(s, p->mu, violation);
+#endif
     }
     start_warm(s, p);
     return mbs_stages_phase_values(s, p, p->x, &p->cost, p->c);

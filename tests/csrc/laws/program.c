@@ -1,3 +1,4 @@
+#define MBS_PROGRAM_LANES
 #include "laws.h"
 
 #include <math.h>

@@ -36,6 +36,7 @@ def load() -> tuple[Any, Any]:
     ffi = declare("\n".join(read_declarations(path.read_text(encoding="utf-8")) for path in paths))
     names = sorted(file.name for folder in folders[:2] for file in folder.glob("*.c"))
     compiler = find_compiler(os.environ)
+    compiler = replace(compiler, flags=(*compiler.flags, "-DMBS_PROGRAM_LANES"))
     library = compile_library(folders[0], "mbs_stages", [*names, _TIMED], compiler, *folders[1:], rows=names)
     return ffi, ffi.dlopen(str(library))
 
