@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mbsrun.simulation.course import stand
 from mbsrun.simulation.drive import Piece
 from mbsrun.simulation.formulation import Formulation
 
@@ -72,6 +73,7 @@ class Particles:
     formulation: Any = Formulation.SEMI
     effort: Any = field(default_factory=lambda: SimpleNamespace(steps=0, rejected=None))
     kept: dict[str, Any] = field(default_factory=dict)
+    course: Any = field(default_factory=lambda: stand([]))
 
     @property
     def size(self) -> int:

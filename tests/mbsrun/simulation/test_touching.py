@@ -234,7 +234,7 @@ def test_a_motion_that_switches_again_and_again_at_once_is_ended() -> None:
 
     piece = Piece(0.0, 1.0, lambda t: np.zeros((len(t), 0)), True)
     with pytest.raises(HaltError, match="200 switches of nothing, each within 1e-09 s"):
-        list(Restless().follow(piece, np.zeros(1), np.zeros(1), Allowance(Limits())))
+        list(Restless(Settings(1.0)).follow(piece, np.zeros(1), np.zeros(1), Allowance(Limits())))
 
 
 LEG = """
