@@ -28,7 +28,7 @@ from typing import Any
 import pytest
 
 FILE = Path(__file__).with_suffix(".tsv")
-SHORT = 0.12  # s of processor
+SHORT = 0.09  # s of processor
 LONG = 3.0
 LONG_SELDOM = 2.0  # of the kinds of SELDOM
 KEY = "processor time"  # of a test's report
