@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import json
+import tempfile
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
+
+from mbsgen.importing import Choices
+from mbsgen.osim_comparison import ask_opensim, compare_with_opensim
 
 KNOTS = "-2.1 -1.2 -0.5 -0.35 -0.17 0.16 2.1"
 VALUES = "-0.42 -0.41 -0.4 -0.398 -0.3966 -0.3953 -0.396"
@@ -221,3 +227,17 @@ COORDINATES: dict[str, tuple[str, ...]] = {
     "coupled": ("q_one", "q_two", "q_three", "q_four", "hip", "knee", "beta"),
 }
 COORDINATES["leg_3"] = COORDINATES["turned"] = COORDINATES["leg"]
+
+
+def write_answers(cases: Mapping[str, str], reference: Path) -> None:
+    """Write OpenSim's numbers for models to a file."""
+    found: dict[str, Any] = {}
+    with tempfile.TemporaryDirectory() as folder:
+        for name, text in cases.items():
+
+            def keep(*given: Any, name: str = name) -> Any:
+                found[name] = ask_opensim(*given)
+                return found[name]
+
+            compare_with_opensim(save(Path(folder), text), Choices(), keep)
+    reference.write_text(json.dumps(found) + "\n", "utf-8")

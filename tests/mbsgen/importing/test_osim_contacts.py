@@ -7,18 +7,16 @@ from __future__ import annotations
 
 import json
 import re
-import tempfile
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from mbsgen.errors import InputError
 from mbsgen.importing import Choices, import_model, write_imported
 from mbsgen.model.reader import read_model
-from mbsgen.osim_comparison import ask_opensim, compare_with_opensim
+from mbsgen.osim_comparison import compare_with_opensim
 from tests.mbsgen.importing.osim_contact_files import CASES
-from tests.mbsgen.importing.osim_files import save
+from tests.mbsgen.importing.osim_files import save, write_answers
 
 REFERENCE = Path(__file__).parents[2] / "reference" / "opensim_contacts.json"
 ROUNDING = 1e-12  # relative
@@ -80,19 +78,5 @@ def test_a_faulty_contact_is_one_clear_error(fault: str, tmp_path: Path) -> None
     assert "leg.osim:" in str(caught.value)
 
 
-def write_reference() -> None:
-    """Write OpenSim's numbers for all cases."""
-    found: dict[str, Any] = {}
-    with tempfile.TemporaryDirectory() as folder:
-        for name, text in CASES.items():
-
-            def keep(*given: Any, name: str = name) -> Any:
-                found[name] = ask_opensim(*given)
-                return found[name]
-
-            compare_with_opensim(save(Path(folder), text), Choices(), keep)
-    REFERENCE.write_text(json.dumps(found) + "\n", "utf-8")
-
-
 if __name__ == "__main__":
-    write_reference()
+    write_answers(CASES, REFERENCE)

@@ -7,9 +7,7 @@ from __future__ import annotations
 
 import json
 import re
-import tempfile
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -17,8 +15,8 @@ from mbsgen.errors import InputError
 from mbsgen.expressions import write
 from mbsgen.importing import Choices, import_model, write_imported
 from mbsgen.model.reader import read_model
-from mbsgen.osim_comparison import ask_opensim, compare_with_opensim
-from tests.mbsgen.importing.osim_files import Link, save, write_model
+from mbsgen.osim_comparison import compare_with_opensim
+from tests.mbsgen.importing.osim_files import Link, save, write_answers, write_model
 from tests.mbsgen.importing.osim_muscle_files import fixed, line, numbers
 
 REFERENCE = Path(__file__).parents[2] / "reference" / "opensim_ligaments.json"
@@ -130,19 +128,5 @@ def test_a_faulty_force_is_one_clear_error(fault: str, tmp_path: Path) -> None:
     assert "leg.osim:" in str(caught.value)
 
 
-def write_reference() -> None:
-    """Write OpenSim's numbers for all cases."""
-    found: dict[str, Any] = {}
-    with tempfile.TemporaryDirectory() as folder:
-        for name, text in CASES.items():
-
-            def keep(*given: Any, name: str = name) -> Any:
-                found[name] = ask_opensim(*given)
-                return found[name]
-
-            compare_with_opensim(save(Path(folder), text), Choices(), keep)
-    REFERENCE.write_text(json.dumps(found) + "\n", "utf-8")
-
-
 if __name__ == "__main__":
-    write_reference()
+    write_answers(CASES, REFERENCE)

@@ -8,9 +8,7 @@ from __future__ import annotations
 import json
 import os
 import re
-import tempfile
 from pathlib import Path
-from typing import Any
 
 import pytest
 from click.testing import CliRunner
@@ -20,9 +18,9 @@ from mbsgen.errors import InputError
 from mbsgen.expressions import Name, Number, write
 from mbsgen.importing import Choices, import_model, write_imported
 from mbsgen.model.reader import read_model
-from mbsgen.osim_comparison import AROUND, ask_opensim, compare_with_opensim
+from mbsgen.osim_comparison import AROUND, compare_with_opensim
 from tests import peers
-from tests.mbsgen.importing.osim_files import save
+from tests.mbsgen.importing.osim_files import save, write_answers
 from tests.mbsgen.importing.osim_muscle_files import CASES, around
 
 PATHS = ("lengths", "rates", "arms")
@@ -158,19 +156,5 @@ def test_a_missing_opensim_is_one_clear_error(tmp_path: Path, monkeypatch: pytes
         compare_with_opensim(save(tmp_path, CASES["leg"]), Choices())
 
 
-def write_reference() -> None:
-    """Write OpenSim's numbers for all cases."""
-    found: dict[str, Any] = {}
-    with tempfile.TemporaryDirectory() as folder:
-        for name, text in CASES.items():
-
-            def keep(*given: Any, name: str = name) -> Any:
-                found[name] = ask_opensim(*given)
-                return found[name]
-
-            compare_with_opensim(save(Path(folder), text), Choices(), keep)
-    REFERENCE.write_text(json.dumps(found) + "\n", "utf-8")
-
-
 if __name__ == "__main__":
-    write_reference()
+    write_answers(CASES, REFERENCE)

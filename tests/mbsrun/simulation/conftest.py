@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from mbsrun import Mechanism, load
 from mbsrun.lab.mechanisms import SLIDER_AND_BOB
+from mbsrun.models import Extent
 
 MODELS = Path(__file__).parents[3] / "models"
 
@@ -28,6 +30,20 @@ bodies:
     com: [0.1, 0.2, 0.3]
     inertia: [1, 2, 2.9]
 """
+
+
+def load_texts(factory: pytest.TempPathFactory, extent: Extent) -> Callable[[str], Mechanism]:
+    """Return a function that loads a model from its text, each text once."""
+    known: dict[str, Mechanism] = {}
+
+    def build(text: str) -> Mechanism:
+        if text not in known:
+            file = factory.mktemp("model") / "model.yaml"
+            file.write_text(text, encoding="utf-8")
+            known[text] = load(file, extent=extent)
+        return known[text]
+
+    return build
 
 
 @pytest.fixture(scope="session")

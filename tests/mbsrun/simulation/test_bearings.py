@@ -18,7 +18,7 @@ from mbsrun.simulation.dynamics import Dynamics
 from mbsrun.simulation.formulation import Formulation
 from mbsrun.simulation.integration.bearings import Bearings, LoadError, _contract, _find_roots
 from mbsrun.smoothness import demand_smooth
-from tests.mbsrun.simulation.conftest import MODELS
+from tests.mbsrun.simulation.conftest import MODELS, load_texts
 
 Array = NDArray[np.float64]
 Make = Callable[[str], Mechanism]
@@ -67,16 +67,7 @@ bodies:
 @pytest.fixture(scope="session")
 def make(tmp_path_factory: pytest.TempPathFactory) -> Make:
     """Return a function that loads a model from its text, each text once."""
-    known: dict[str, Mechanism] = {}
-
-    def build(text: str) -> Mechanism:
-        if text not in known:
-            file = tmp_path_factory.mktemp("model") / "model.yaml"
-            file.write_text(text, encoding="utf-8")
-            known[text] = load(file, extent=NEEDED)
-        return known[text]
-
-    return build
+    return load_texts(tmp_path_factory, NEEDED)
 
 
 def run(

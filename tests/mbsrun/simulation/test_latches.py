@@ -15,6 +15,7 @@ from mbsrun.simulation import Impacts, Kind, Latch, Motion, Settings, differenti
 from mbsrun.simulation.drive import control, hold
 from mbsrun.simulation.integration.methods import find_refusals
 from mbsrun.simulation.statement import read_statement
+from tests.mbsrun.simulation.conftest import load_texts
 
 Make = Callable[[str], Mechanism]
 
@@ -44,16 +45,7 @@ stops:
 @pytest.fixture(scope="session")
 def make(tmp_path_factory: pytest.TempPathFactory) -> Make:
     """Return a function that loads a model from its text, each text once."""
-    known: dict[str, Mechanism] = {}
-
-    def build(text: str) -> Mechanism:
-        if text not in known:
-            file = tmp_path_factory.mktemp("model") / "model.yaml"
-            file.write_text(text, encoding="utf-8")
-            known[text] = load(file, extent=NEEDED)
-        return known[text]
-
-    return build
+    return load_texts(tmp_path_factory, NEEDED)
 
 
 def run(wheels: Mechanism, end: float, name: str, *times: tuple[float, float], **options: object) -> Motion:

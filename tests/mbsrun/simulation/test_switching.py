@@ -23,7 +23,7 @@ from mbsrun.simulation.drive import express, hold
 from mbsrun.simulation.integration import switching
 from mbsrun.simulation.integration.complementarity import ComplementarityError, solve_bounded
 from mbsrun.simulation.motion import Chunk
-from tests.mbsrun.simulation.conftest import MODELS
+from tests.mbsrun.simulation.conftest import MODELS, load_texts
 from tests.mbsrun.simulation.drawn_trees import draw_tree
 from tests.mbsrun.simulation.pulses import RATE, find_slip, write_pulses
 
@@ -59,16 +59,7 @@ def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> 
 @pytest.fixture(scope="session")
 def make(tmp_path_factory: pytest.TempPathFactory) -> Make:
     """Return a function that loads a model from its text, each text once."""
-    known: dict[str, Mechanism] = {}
-
-    def build(text: str) -> Mechanism:
-        if text not in known:
-            file = tmp_path_factory.mktemp("model") / "model.yaml"
-            file.write_text(text, encoding="utf-8")
-            known[text] = load(file, extent=NEEDED)
-        return known[text]
-
-    return build
+    return load_texts(tmp_path_factory, NEEDED)
 
 
 def slide(make: Make, options: str, axis: str = "x", mass: float = 2.0) -> Mechanism:

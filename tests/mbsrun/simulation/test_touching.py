@@ -23,7 +23,7 @@ from mbsrun.simulation.drive import Piece, control, express, hold, hold_steps
 from mbsrun.simulation.integration.events import Course
 from mbsrun.simulation.integration.touching import TouchingCourse
 from mbsrun.simulation.motion import Chunk, HaltError
-from tests.mbsrun.simulation.conftest import MODELS
+from tests.mbsrun.simulation.conftest import MODELS, load_texts
 from tests.mbsrun.simulation.planar import HALF, NEEDED, PLANAR, POINT, ROD, grip
 from tests.mbsrun.simulation.pulses import RATE, find_slip, write_pulses
 
@@ -43,16 +43,7 @@ DISC = PLANAR.format(inertia=RADIUS**2 / 2) + POINT.format("rim", 0, 0, RADIUS)
 @pytest.fixture(scope="session")
 def make(tmp_path_factory: pytest.TempPathFactory) -> Make:
     """Return a function that loads a model from its text, each text once."""
-    known: dict[str, Mechanism] = {}
-
-    def build(text: str) -> Mechanism:
-        if text not in known:
-            file = tmp_path_factory.mktemp("model") / "model.yaml"
-            file.write_text(text, encoding="utf-8")
-            known[text] = load(file, extent=NEEDED)
-        return known[text]
-
-    return build
+    return load_texts(tmp_path_factory, NEEDED)
 
 
 def tilt(kernels: Mechanism, slope: float) -> Mechanism:
