@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 from sympy import Expr, ImmutableMatrix, eye
 
-from mbsgen.algebra.dense import Dense, Row, add, apply, combine, dot, identity, times, transpose
+from mbsgen.algebra.dense import Dense, Row, add, apply, combine, dot, identity, list_columns, times, transpose
 from mbsgen.algebra.rotations import axis_rotation
 from mbsgen.arrows import Texts, add_forces, rotate
 from mbsgen.expressions import FLOATS, Expression, evaluate
@@ -174,14 +174,14 @@ def _weigh(body: Body, seat: _Seat, values: Mapping[str, float]) -> Mass | None:
 
 
 def _describe_body(name: str, seat: _Seat) -> Seat:
-    return Seat(name=name, frame=seat.frame, at=_triple(seat.position), axes=_list_columns(seat.axes))
+    return Seat(name=name, frame=seat.frame, at=_triple(seat.position), axes=list_columns(seat.axes))
 
 
 def _describe_foot(wrench: Wrench, seat: _Seat, values: Mapping[str, float]) -> Foot:
     """Return the point of an open wrench; the axes of its body where they are not the axes of the frame."""
     frame, at = seat.place(_floats(wrench.position, values))
     is_turned = bool(seat.axes_symbols.free_symbols) or seat.axes != identity(3)
-    axes = _list_columns(seat.axes) if is_turned and not wrench.in_base else ()
+    axes = list_columns(seat.axes) if is_turned and not wrench.in_base else ()
     return Foot(frame=frame, at=_triple(at), axes=axes)
 
 
@@ -194,7 +194,7 @@ def _describe_visual(name: str, visual: Visual, seat: _Seat, texts: Texts, value
         shape=visual.shape,
         size=tuple(_float(x, values) for x in visual.size),
         at=_triple(at),
-        axes=_list_columns(times(seat.axes, own.axes)),
+        axes=list_columns(times(seat.axes, own.axes)),
         color=visual.color,
         file=visual.file,
     )
@@ -251,7 +251,7 @@ def _describe_contact(contact: Contact, seats: _Seats, values: Mapping[str, floa
                 centre=_point(carrier.place(_floats(other.position, values))), radius=_float(other.radius, values)
             )
         case Block():
-            edges, axes = _triple(_floats(other.size, values)), _list_columns(carrier.axes)
+            edges, axes = _triple(_floats(other.size, values)), list_columns(carrier.axes)
             brick = Brick(centre=_point((carrier.frame, carrier.position)), axes=axes, size=edges)
         case Capsule():
             rod = Rod(
@@ -263,7 +263,7 @@ def _describe_contact(contact: Contact, seats: _Seats, values: Mapping[str, floa
     return Touch(
         name=contact.name,
         centre=_point((seat.frame, seat.position)),
-        axes=_list_columns(seat.axes),
+        axes=list_columns(seat.axes),
         radius=_float(contact.radius, values),
         size=None if contact.size is None else _triple(_floats(contact.size, values)),
         plane=plane,
@@ -311,10 +311,6 @@ def _floats(triple: Triple, values: Mapping[str, float]) -> Row:
 def _triple(v: Row) -> tuple[float, float, float]:
     x, y, z = v
     return x, y, z
-
-
-def _list_columns(axes: Dense) -> tuple[float, ...]:
-    return tuple(x for column in transpose(axes) for x in column)
 
 
 def _point(placed: tuple[int, Row]) -> Point:

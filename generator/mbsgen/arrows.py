@@ -33,7 +33,7 @@ from sympy import (
     tanh,
 )
 
-from mbsgen.algebra.dense import Dense, Row, add, apply, transpose
+from mbsgen.algebra.dense import Dense, Row, add, apply, list_columns
 from mbsgen.expressions import (
     FLOATS,
     Call,
@@ -303,7 +303,7 @@ class _Writing:
                 name=wrench.name,
                 at=Point(frame=seat.frame, at=(x, y, z)),
                 in_base=wrench.in_base,
-                axes=tuple(x for column in transpose(seat.axes) for x in column),
+                axes=list_columns(seat.axes),
                 force=parts[0],
                 moment=parts[1],
             )

@@ -90,6 +90,16 @@ def stack(blocks: Sequence[Sequence[Dense]]) -> Dense:
     return tuple(sum(rows, ()) for row in blocks for rows in zip(*row, strict=True))
 
 
+def find_largest(A: Dense) -> float:
+    """Return the largest size of an entry; 0 where there is none."""
+    return max((abs(float(x)) for row in A for x in row), default=0.0)
+
+
+def list_columns(A: Dense) -> Row:
+    """Return the entries column by column."""
+    return tuple(x for column in transpose(A) for x in column)
+
+
 def find_eigen(A: Dense) -> tuple[tuple[float, ...], Dense]:
     """Return the eigenvalues of a symmetric matrix of floats, ascending, and its eigenvectors as rows.
 

@@ -70,7 +70,7 @@ def write_kinds(tables: StageProgram, arrays: Arrays) -> Written:
         ", ".join(
             (
                 f"{{{size}}}",
-                *(f"{{{_write_script(script, arrays)}}}" for script in (kind.values, kind.jacobians, kind.second)),
+                *(f"{{{_write_script(script, arrays)}}}" for script in kind.scripts),
             )
         )
         for kind, size in zip(tables.kinds, sizes, strict=True)

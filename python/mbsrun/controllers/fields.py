@@ -116,7 +116,7 @@ def find_read(tables: StageProgram) -> Indices:
     read: set[int] = set()
     for kind in tables.kinds:
         first = kind.nx + kind.nv
-        for step in (step for script in (kind.values, kind.jacobians, kind.second) for step in script.steps):
+        for step in (step for script in kind.scripts for step in script.steps):
             if step.terms is not None:
                 by = [] if step.terms.by is None else step.terms.by.tolist()
                 read.update(i - first for i in (*step.terms.from_.tolist(), *by))

@@ -368,11 +368,7 @@ def _write_tables(design: Design, common: Mapping[str, object], wrap: Wrap) -> d
     values = [design.sources.values[part] for part in (sources.lower, sources.upper, sources.least, sources.most)]
     lower, upper, least, most = (wrap(map(write_real, part)) if part.size else ("0",) for part in values)
     calls = [
-        step.call
-        for kind in tables.kinds
-        for script in (kind.values, kind.jacobians, kind.second)
-        for step in script.steps
-        if step.call is not None
+        step.call for kind in tables.kinds for script in kind.scripts for step in script.steps if step.call is not None
     ]
     view = {
         **common,

@@ -9,7 +9,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from mbsgen.importing import Choices
+import pytest
+
+from mbsgen.errors import InputError
+from mbsgen.importing import Choices, import_model
 from mbsgen.osim_comparison import ask_opensim, compare_with_opensim
 
 KNOTS = "-2.1 -1.2 -0.5 -0.35 -0.17 0.16 2.1"
@@ -227,6 +230,15 @@ COORDINATES: dict[str, tuple[str, ...]] = {
     "coupled": ("q_one", "q_two", "q_three", "q_four", "hip", "knee", "beta"),
 }
 COORDINATES["leg_3"] = COORDINATES["turned"] = COORDINATES["leg"]
+
+
+def check_fault(text: str, old: str, new: str, wanted: str, folder: Path) -> None:
+    """Check that a change of a file is refused in these words, with the file and a line."""
+    assert old in text
+    with pytest.raises(InputError) as caught:
+        import_model(save(folder, text.replace(old, new)))
+    assert wanted in str(caught.value)
+    assert "leg.osim:" in str(caught.value)
 
 
 def write_answers(cases: Mapping[str, str], reference: Path) -> None:

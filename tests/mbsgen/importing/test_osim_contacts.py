@@ -11,12 +11,11 @@ from pathlib import Path
 
 import pytest
 
-from mbsgen.errors import InputError
 from mbsgen.importing import Choices, import_model, write_imported
 from mbsgen.model.reader import read_model
 from mbsgen.osim_comparison import compare_with_opensim
 from tests.mbsgen.importing.osim_contact_files import CASES
-from tests.mbsgen.importing.osim_files import save, write_answers
+from tests.mbsgen.importing.osim_files import check_fault, save, write_answers
 
 REFERENCE = Path(__file__).parents[2] / "reference" / "opensim_contacts.json"
 ROUNDING = 1e-12  # relative
@@ -69,13 +68,7 @@ FAULTS: dict[str, tuple[str, str, str]] = {
 @pytest.mark.parametrize("fault", FAULTS)
 def test_a_faulty_contact_is_one_clear_error(fault: str, tmp_path: Path) -> None:
     """With file and line."""
-    old, new, wanted = FAULTS[fault]
-    text = CASES["smooth"]
-    assert old in text
-    with pytest.raises(InputError) as caught:
-        import_model(save(tmp_path, text.replace(old, new)))
-    assert wanted in str(caught.value)
-    assert "leg.osim:" in str(caught.value)
+    check_fault(CASES["smooth"], *FAULTS[fault], tmp_path)
 
 
 if __name__ == "__main__":

@@ -11,12 +11,11 @@ from pathlib import Path
 
 import pytest
 
-from mbsgen.errors import InputError
 from mbsgen.expressions import write
 from mbsgen.importing import Choices, import_model, write_imported
 from mbsgen.model.reader import read_model
 from mbsgen.osim_comparison import compare_with_opensim
-from tests.mbsgen.importing.osim_files import Link, save, write_answers, write_model
+from tests.mbsgen.importing.osim_files import Link, check_fault, save, write_answers, write_model
 from tests.mbsgen.importing.osim_muscle_files import fixed, line, numbers
 
 REFERENCE = Path(__file__).parents[2] / "reference" / "opensim_ligaments.json"
@@ -119,13 +118,7 @@ FAULTS = {
 @pytest.mark.parametrize("fault", FAULTS)
 def test_a_faulty_force_is_one_clear_error(fault: str, tmp_path: Path) -> None:
     """With file and line."""
-    old, new, wanted = FAULTS[fault]
-    text = CASES["new"]
-    assert old in text
-    with pytest.raises(InputError) as caught:
-        import_model(save(tmp_path, text.replace(old, new)))
-    assert wanted in str(caught.value)
-    assert "leg.osim:" in str(caught.value)
+    check_fault(CASES["new"], *FAULTS[fault], tmp_path)
 
 
 if __name__ == "__main__":

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
 from mbsgen.errors import InputError
@@ -29,6 +30,17 @@ def read(text: str, folder: Path) -> Model:
     file = folder / "model.yaml"
     file.write_text(text, encoding="utf-8")
     return read_model(file)
+
+
+def check_fault(whole: str, old: str, new: str, path: str, finding: str, folder: Path) -> None:
+    """Check that a change of a model file is one fault with its line, path, finding and remedy."""
+    text = whole.replace(old, new, 1)
+    assert text != whole
+    with pytest.raises(InputError) as raised:
+        read(text, folder)
+    (fault,) = raised.value.faults
+    assert (fault.path, finding in fault.finding, bool(fault.remedy)) == (path, True, True), str(fault)
+    assert fault.line > 1
 
 
 def make_pair(touch: Contact) -> Tree:

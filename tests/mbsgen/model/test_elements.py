@@ -19,14 +19,13 @@ from mbsgen.model.changes.reduction import build_tree
 from mbsgen.model.changes.releasing import with_runtime_numbers
 from mbsgen.model.changes.scene import Scene, stage
 from mbsgen.model.construction import body, cable, contact, end, frame, make_model, plane, prismatic, spring, wrench
-from mbsgen.model.model import Model
-from mbsgen.model.reader import read_model
 from mbsgen.model.tree import Kind, Tree
 from mbsgen.model.writer import write_model
 from mbsgen.procedure.procedure import straight
 from mbsgen.tape import reverse
 from mbsgen.tape.interpreter import evaluate, find_failure
 from tests.fuzz import mechanisms
+from tests.mbsgen.model.pairs import check_fault, read
 
 MASS, GRAVITY = 2.0, 9.81
 
@@ -76,12 +75,6 @@ contacts:
     width: 0.001
     friction: {coefficient: mu, speed: 0.01}
 """
-
-
-def read(text: str, folder: Path) -> Model:
-    file = folder / "model.yaml"
-    file.write_text(text, encoding="utf-8")
-    return read_model(file)
 
 
 def make_ball(**law: object) -> Tree:
@@ -425,10 +418,4 @@ FAULTS = {  # old text, new text, path and piece of the finding
 
 @pytest.mark.parametrize(("old", "new", "path", "finding"), FAULTS.values(), ids=FAULTS.keys())
 def test_faults_are_found_where_they_are(old: str, new: str, path: str, finding: str, tmp_path: Path) -> None:
-    text = WHOLE.replace(old, new, 1)
-    assert text != WHOLE
-    with pytest.raises(InputError) as raised:
-        read(text, tmp_path)
-    (fault,) = raised.value.faults
-    assert (fault.path, finding in fault.finding, bool(fault.remedy)) == (path, True, True), str(fault)
-    assert fault.line > 1
+    check_fault(WHOLE, old, new, path, finding, tmp_path)

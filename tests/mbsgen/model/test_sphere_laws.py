@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mbsgen.errors import InputError
 from mbsgen.formulations import catalogue
 from mbsgen.formulations.reductions import ALL
 from mbsgen.model.changes.reduction import build_tree
@@ -22,7 +21,7 @@ from mbsgen.model.writer import write_model
 from mbsgen.procedure.procedure import straight
 from mbsgen.tape import reverse
 from mbsgen.tape.interpreter import evaluate
-from tests.mbsgen.model.pairs import Array, call, make_pair, press, read
+from tests.mbsgen.model.pairs import Array, call, check_fault, make_pair, press, read
 
 K, C, R, OTHER = 2e4, 0.6, 0.1, 0.25
 MU, STATIC, VISCOUS, SPEED = 0.5, 0.9, 0.3, 0.2
@@ -140,10 +139,4 @@ FAULTS = {  # old text, new text, path and piece of the finding
 
 @pytest.mark.parametrize(("old", "new", "path", "finding"), FAULTS.values(), ids=FAULTS.keys())
 def test_faults_are_found_where_they_are(old: str, new: str, path: str, finding: str, tmp_path: Path) -> None:
-    text = WHOLE.replace(old, new, 1)
-    assert text != WHOLE
-    with pytest.raises(InputError) as raised:
-        read(text, tmp_path)
-    (fault,) = raised.value.faults
-    assert (fault.path, finding in fault.finding, bool(fault.remedy)) == (path, True, True), str(fault)
-    assert fault.line > 1
+    check_fault(WHOLE, old, new, path, finding, tmp_path)

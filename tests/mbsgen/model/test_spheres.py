@@ -25,7 +25,7 @@ from mbsgen.procedure.procedure import straight
 from mbsgen.tape import reverse
 from mbsgen.tape.interpreter import find_failure
 from tests.fuzz import mechanisms
-from tests.mbsgen.model.pairs import REST, call, find_drawn, make_pair, press, read
+from tests.mbsgen.model.pairs import REST, call, check_fault, find_drawn, make_pair, press, read
 
 r, R, k = 0.1, 0.25, 1e4
 LAW: dict[str, Any] = {"stiffness": k, "width": 1e-6}
@@ -296,13 +296,7 @@ FAULTS = {  # old text, new text, path and piece of the finding
 
 @pytest.mark.parametrize(("old", "new", "path", "finding"), FAULTS.values(), ids=FAULTS.keys())
 def test_faults_are_found_where_they_are(old: str, new: str, path: str, finding: str, tmp_path: Path) -> None:
-    text = WHOLE.replace(old, new, 1)
-    assert text != WHOLE
-    with pytest.raises(InputError) as raised:
-        read(text, tmp_path)
-    (fault,) = raised.value.faults
-    assert (fault.path, finding in fault.finding, bool(fault.remedy)) == (path, True, True), str(fault)
-    assert fault.line > 1
+    check_fault(WHOLE, old, new, path, finding, tmp_path)
 
 
 def test_python_refuses_what_a_file_may_not_say() -> None:

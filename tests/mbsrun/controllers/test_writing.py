@@ -189,11 +189,7 @@ def test_a_model_predicts_from_a_state_that_holds_its_coordinates_first() -> Non
 def test_calls_have_room_for_the_most_arguments_and_results() -> None:
     tables = design("late").tables
     calls = [
-        step.call
-        for kind in tables.kinds
-        for script in (kind.values, kind.jacobians, kind.second)
-        for step in script.steps
-        if step.call is not None
+        step.call for kind in tables.kinds for script in kind.scripts for step in script.steps if step.call is not None
     ]
     found = re.search(r"functions,\s+(\d+), (\d+), 0, 0\s*\}", write("late")["push_tables.c"])
     assert found is not None

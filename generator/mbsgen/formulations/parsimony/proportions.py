@@ -20,6 +20,7 @@ from mbsgen.algebra.dense import (
     combine,
     divide_both,
     find_eigen,
+    find_largest,
     identity,
     invert_symmetric,
     project,
@@ -143,15 +144,11 @@ def _ratio(moved: Dense, there: Dense) -> float:
     values, vectors = find_eigen(divide_both(there, scale))
     felt = times(times(vectors, divide_both(moved, scale)), transpose(vectors))
     first = sum(value <= NEGLIGIBLE for value in values)  # of the motions that have inertia
-    if _find_largest(felt[:first]) > NEGLIGIBLE * _find_largest(felt):
+    if find_largest(felt[:first]) > NEGLIGIBLE * find_largest(felt):
         return math.inf
     size = tuple(math.sqrt(value) for value in values[first:])
     ratios, _ = find_eigen(divide_both(tuple(row[first:] for row in felt[first:]), size))
     return max(map(abs, ratios), default=0.0)
-
-
-def _find_largest(A: Dense) -> float:
-    return max((abs(x) for row in A for x in row), default=0.0)
 
 
 def find_least(segments: Sequence[Segment], segment: Segment) -> float:

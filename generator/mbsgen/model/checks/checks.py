@@ -10,7 +10,7 @@ from collections.abc import Container, Iterator
 from dataclasses import dataclass
 from decimal import Decimal
 
-from mbsgen.algebra.dense import Dense, find_eigen, identity
+from mbsgen.algebra.dense import Dense, find_eigen, find_largest, identity
 from mbsgen.documents import Finding, Place, abbreviate
 from mbsgen.expressions import Expression, Negation, Number, write
 from mbsgen.model import tree
@@ -146,7 +146,7 @@ def _check_body(place: Place, body: Body, valuation: Valuation, *, allow_unphysi
     if mass == 0 and any(map(any, inertia)) and not valuation.changes(body.mass):
         yield Finding(place, "an inertia without a mass", "give the body a mass too, or set allow_unphysical: true")
     excess = _measure_excess(body.inertia, inertia)
-    if excess.amount > max(INERTIA_TOLERANCE * _find_largest(given), excess.rounding):
+    if excess.amount > max(INERTIA_TOLERANCE * find_largest(given), excess.rounding):
         remedy = "none may be more than the sum of the others; mend them, or set allow_unphysical: true"
         yield Finding(place, f"no body has {excess.describe()}", remedy)
 
@@ -183,10 +183,6 @@ class _Excess:
         return f"the principal moments of inertia {', '.join(shown)}"
 
 
-def _find_largest(tensor: Dense) -> float:
-    return max(abs(float(x)) for row in tensor for x in row)
-
-
 def _measure_excess(written: Inertia, inertia: Dense) -> _Excess:
     """Compare the moments; to first order, an entry that is off by d changes the excess by d times its weight."""
     (a, b, c), (*_, e) = find_eigen(inertia)
@@ -219,7 +215,7 @@ def find_doubts(model: Model) -> list[Finding]:
             tuple(valuation.triple((), row) for row in tensor.rows) for tensor in (body.inertia, centre_inertia(body))
         )
         excess = _measure_excess(body.inertia, inertia)
-        if excess.amount > INERTIA_TOLERANCE * _find_largest(given):
+        if excess.amount > INERTIA_TOLERANCE * find_largest(given):
             finding = f"rounding to the digits given has made a possible inertia {excess.describe()}"
             findings.append(Finding(("bodies", i, "inertia"), finding, "give more digits"))
     return findings

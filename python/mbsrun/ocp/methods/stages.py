@@ -134,8 +134,9 @@ def make_stages(order: Assignment) -> Solver:
                 outcome = solver.solve(_complete(order.program, start.x), numbers, settings, watch)
             else:
                 most = start.most_iterations
-                own = starts.setdefault(most, starts.get(most) or _start_near(settings, most))
-                outcome = solver.solve(start.near.point, numbers, own, watch)
+                if most not in starts:
+                    starts[most] = _start_near(settings, most)
+                outcome = solver.solve(start.near.point, numbers, starts[most], watch)
         finally:
             with lock:
                 free[key].append(solver)

@@ -135,7 +135,7 @@ def write_program(data: StageProgram, names: tuple[str, ...]) -> str:
     """Write tables, and a program that evaluates them."""
     arrays = Arrays("t", lambda words: (", ".join(words),))
     kinds = ", ".join(f"{{{kind}}}" for kind in write_kinds(data, arrays).kinds)
-    scripts = [script for kind in data.kinds for script in (kind.values, kind.jacobians, kind.second)]
+    scripts = [script for kind in data.kinds for script in kind.scripts]
     calls = [step.call for script in scripts for step in script.steps if step.call is not None]
     arguments, results = max(len(call.arguments) for call in calls), max(len(call.results) for call in calls)
     parameters = data.parameters + sum(given.size for given in data.given)

@@ -201,7 +201,7 @@ class Tables:
     @cached_property
     def abreast(self) -> Abreast | None:
         """The kernels that an interval's points call at once; None where there are no such, or no vectors."""
-        scripts = [script for kind in self.data.kinds for script in (kind.values, kind.jacobians, kind.second)]
+        scripts = [script for kind in self.data.kinds for script in kind.scripts]
         repeated = find_repeated(scripts)
         found: dict[int, tuple[Entry, Several]] = {}
         for number, function in enumerate(self.data.functions):

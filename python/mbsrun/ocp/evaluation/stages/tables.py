@@ -116,6 +116,11 @@ class Kind:
     jacobians: Script
     second: Script
 
+    @property
+    def scripts(self) -> tuple[Script, ...]:
+        """Return all scripts."""
+        return self.values, self.jacobians, self.second
+
 
 @dataclass(frozen=True)
 class Given:
