@@ -62,7 +62,7 @@ SDF_FILE = """<sdf version="1.6"><world name="lab">
     <link name="c"><pose>0.6 0 0 0 0.2 0.1</pose></link>
     <link name="d"><pose>0.9 0 0 0 0.2 0.1</pose></link>
     <link name="e"><pose>1.9 0 0 0 0.2 0.1</pose></link>
-    <model name="inner" canonical_link="g"><static>false</static><pose>0 1 0 0 0 0</pose>
+    <model name="inner" canonical_link="g" placement_frame="g"><static>false</static><pose>0 1 0 0 0 0</pose>
       <link name="f"><pose>0.1 0.2 0.3 0.1 0 0</pose></link><link name="g"><pose>0.3 0 1 0 0 0.2</pose></link></model>
     <joint name="ja" type="revolute"><parent>world</parent><child>a</child><pose>0.1 0 0.1 0.2 0 0</pose>
       <axis><xyz expressed_in="seat">0 0.6 0.8</xyz>

@@ -402,7 +402,7 @@ def test_springs_losses_bounds_and_mimics_are_read(tmp_path: Path) -> None:
         (("</axis>", "<dynamics><damping>-1</damping></dynamics></axis>"), "damping is -1; give 0 or more"),
         (("</axis>", "<limit><lower>2</lower><upper>1</upper></limit></axis>"), "lower is 2, and upper 1; swap them"),
         (("</axis>", '<mimic joint="c"/></axis>'), "a mimic of joints without a coordinate each"),
-        (('<model name="machine">', '<model name="machine" placement_frame="a">'), "a placement_frame"),
+        (('<model name="machine">', '<model name="machine" placement_frame="x">'), 'there is no frame "x"'),
         (("<gravity>0 1 -9</gravity>", "<include><uri>x</uri></include>"), "an included model, which is not read"),
         (("</world>", '</world><world name="other"/>'), "a second world"),
         (('version="1.9"', ""), "an <sdf> without a version"),
@@ -433,6 +433,30 @@ def test_what_is_refused(change: tuple[str, str], finding: str, tmp_path: Path) 
 )
 def test_what_is_not_read_is_reported(part: str, notice: str, tmp_path: Path) -> None:
     assert notice in told(import_model(save(tmp_path, CHAIN + part)))
+
+
+def test_the_pose_of_a_model_is_that_of_its_placement_frame(tmp_path: Path) -> None:
+    """In nested models, and where the frame is a link of the model inside."""
+    turned, pin = (0.3, 0.2, 0.1, 0.1, -0.4, 0.2), (0.1, 0.0, 0.0, 0.1, 0.2, 0.3)
+    inner = (
+        f'<model name="in" placement_frame="jb"><pose relative_to="a">{text(pin)}</pose>{link("b")}{link("c")}'
+        f"{joint('jb', 'revolute', 'c', 'b', place=f'<pose>{text(turned)}</pose>')}</model>"
+    )
+    chain = link("a") + inner + joint("ja", "revolute", "world", "a") + joint("jc", "revolute", "a", "in::c", place="")
+    path = save(tmp_path, chain)
+    path.write_text(path.read_text("utf-8").replace('"machine">', '"machine" placement_frame="in::c">'), "utf-8")
+    imported = import_model(path, Choices(sensors=("a", "in::b", "in::c")))
+    joint_in_model = pose(POSES["b"]) @ pose(turned)
+    model_in_a = pose(pin) @ np.linalg.inv(joint_in_model)
+    c = pose(TOP)
+    a = c @ np.linalg.inv(model_in_a @ pose(POSES["c"]))
+    b = a @ model_in_a @ pose(POSES["b"])
+    tree = build_tree(imported.model)
+    found = evaluate(FUNCTIONS["frames"].build(tree, NONE), {"q": [0.0] * len(tree.coordinates)})
+    names = [frame.name for frame in imported.model.frames]
+    for k, X in zip((len(tree.bodies) + names.index(x) for x in ("a", "in::b", "in::c")), (a, b, c), strict=True):
+        np.testing.assert_allclose(np.array(found["p"], float).reshape(-1, 3)[k], X[:3, 3], atol=1e-13)
+        np.testing.assert_allclose(np.array(found["R"], float).reshape(-1, 3, 3)[k].T, X[:3, :3], atol=1e-13)
 
 
 def test_long_chains_of_frames_are_no_burden(tmp_path: Path) -> None:

@@ -1,7 +1,8 @@
 """Frames of SDF: names in their scopes -> poses in the world and links that carry them.
 
 A link's pose is given in its model, a joint's in its child, a frame's in the frame that it is attached to, and a
-model's in the model or world around it; `relative_to` names another frame. A joint's axis is given in the joint's
+model's in the model or world around it; `relative_to` names another frame. A model's pose may be the one of a frame in
+it, its `placement_frame`. A joint's axis is given in the joint's
 frame; `expressed_in` names another one. Up to version 1.4, and with `use_parent_model_frame` in 1.5 and 1.6, axes are
 in the model's frame. Roll, pitch and yaw are turns about z by yaw, about y by pitch, about x by roll.
 
@@ -12,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -76,6 +77,7 @@ class Frames:
     _links: dict[str, str] = field(default_factory=lambda: {WORLD: WORLD})  # that carry frames
     _first: dict[str, str] = field(default_factory=dict)  # the first link of each model, itself in no model inside
     _inner: dict[str, str] = field(default_factory=dict)  # the first model in each model
+    _placed: dict[str, Pose] = field(default_factory=dict)  # frames that the poses of models place, in their models
 
     def __post_init__(self) -> None:
         self._poses[WORLD] = ORIGIN
@@ -137,8 +139,20 @@ class Frames:
         pose = self._poses[key]
         for inner in reversed(chain):
             given = self.entries[inner].element.first("pose")
-            pose = self._poses[inner] = pose if given is None else pose @ self.read_pose(given)
+            pose = pose if given is None else pose @ self.read_pose(given)
+            pose = self._poses[inner] = pose @ relate(self._find_placed(self.entries[inner]), ORIGIN)
         return pose
+
+    def _find_placed(self, entry: Entry) -> Pose:
+        """Return the pose, in its model, of the frame that a model's pose places: the model's own unless it says so."""
+        name = entry.element.attributes.get("placement_frame", "")
+        if not name or entry.element.tag != "model":
+            return ORIGIN
+        if entry.key not in self._placed:
+            key = self.find(entry.element, name, entry.key)
+            alone = replace(self, _poses={WORLD: ORIGIN, entry.key: ORIGIN})
+            self._placed[entry.key] = ORIGIN if key is None else alone.locate(key)
+        return self._placed[entry.key]
 
     def _find_outer(self, entry: Entry) -> str:
         """Return the frame in which the pose of an element is given."""

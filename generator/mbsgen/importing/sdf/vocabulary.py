@@ -51,11 +51,10 @@ PLACES: dict[str, Place] = {
         },
     ),
     "model": place(
-        read="@name @canonical_link static=value pose link* joint* model* frame*",
+        read="@name @canonical_link @placement_frame static=value pose link* joint* model* frame*",
         idle="self_collide allow_auto_disable @xmlns drake:collision_filter_group light",
         refused=_INCLUDE
         | {
-            "@placement_frame": ("a placement_frame, which is not read", "give the pose of the model's frame"),
             "drake:joint": ("a drake:joint, which is not read", "give a <joint> of SDF"),
         },
         warned=_out("plugin", "gripper", "model_state", *_DRAKE.split()) | _old("static") | _SELDOM,
