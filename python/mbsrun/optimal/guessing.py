@@ -12,10 +12,11 @@ import numpy as np
 from mbsrun.ocp.ground.plant import Plant
 from mbsrun.ocp.ground.trajectory import Trajectory
 from mbsrun.ocp.guessing.recorded import find_guess, recall
+from mbsrun.ocp.guessing.state_guess import complete, guess_largest
 from mbsrun.ocp.problem.problem import Problem
 from mbsrun.ocp.solution.solution import list_misfits
 from mbsrun.ocp.statement.checks import ProblemError
-from mbsrun.optimal.recalling import make_recording
+from mbsrun.optimal.recalling import make_recording, read_unknowns
 from mbsrun.optimal.result import Solved
 
 GuessLike = Solved | Trajectory | Mapping[str, Any] | str | Path  # or a frame
@@ -35,7 +36,12 @@ def read_motion(guess: GuessLike, problem: Problem, plant: Plant) -> Trajectory:
     if not isinstance(guess, Mapping) and (isinstance(guess, Sequence) or not hasattr(guess, "index")):
         remedy = "give a solution, a file, a trajectory, a pandas frame, or arrays by name"
         raise ProblemError(problem.name, [("guess", f"found a value of type {type(guess).__name__}", remedy)])
-    return recall(make_recording(guess, problem, plant.manifest), problem, plant)
+    motion = recall(make_recording(guess, problem, plant.manifest), problem, plant)
+    given = read_unknowns(guess, problem)
+    if not given:
+        return motion
+    unknowns = np.array([given.get(place, unknown.guess) for place, unknown in enumerate(problem.unknowns)])
+    return guess_largest(complete(replace(motion, unknowns=unknowns), problem, plant), problem, plant)
 
 
 def _refuse(problem: Problem, findings: Iterable[tuple[str, str]]) -> None:

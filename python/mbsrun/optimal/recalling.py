@@ -1,4 +1,7 @@
-"""A guess of arrays by name, such as a frame of pandas: numbers over time -> a recording, as of a file."""
+"""A guess of arrays by name, such as a frame of pandas: numbers over time -> a recording, as of a file.
+
+An unknown of the problem may have one number in it, which is read apart.
+"""
 
 from __future__ import annotations
 
@@ -23,6 +26,7 @@ def make_recording(values: Any, problem: Problem, manifest: Manifest) -> Recordi
     fault.
     """
     columns = _name_columns(problem, manifest)
+    unknowns = {unknown.name for unknown in problem.unknowns}
     known = [*list_quantities(manifest, problem.added), *list_results(manifest)]
     given = {str(name): values[name] for name in values}
     if "t" not in given and not isinstance(values, Mapping):
@@ -30,6 +34,8 @@ def make_recording(values: Any, problem: Problem, manifest: Manifest) -> Recordi
     findings: list[Line] = []
     arrays = {}
     for name, numbers in given.items():
+        if name in unknowns:
+            continue
         if name not in known:
             meant = nearest(name, known)
             findings.append((f"guess.{name}", "unknown name", f"did you mean {meant}?" if meant else "leave it out"))
@@ -62,6 +68,26 @@ def make_recording(values: Any, problem: Problem, manifest: Manifest) -> Recordi
     named = tuple(Column(*columns[name]) for name in kept)
     numbers = np.array([arrays[name] for name in kept]).reshape(len(kept), t.size).T
     return Recording("guess", t, named, numbers)
+
+
+def read_unknowns(values: Any, problem: Problem) -> dict[int, float]:
+    """Return the numbers that a mapping or a frame has for unknowns, by their places. Raises ProblemError."""
+    found, findings = dict[int, float](), list[Line]()
+    for place, name in enumerate(unknown.name for unknown in problem.unknowns):
+        if name not in values:
+            continue
+        try:
+            numbers = np.unique(np.asarray(values[name], dtype=np.float64))
+        except (TypeError, ValueError):
+            numbers = np.zeros(0)
+        if numbers.size == 1 and np.isfinite(numbers[0]):
+            found[place] = float(numbers[0])
+        else:
+            text = "no finite number, or several: an unknown is one for the whole motion"
+            findings.append((f"guess.{name}", text, "give one number"))
+    if findings:
+        raise ProblemError(problem.name, findings)
+    return found
 
 
 def _name_columns(problem: Problem, manifest: Manifest) -> dict[str, tuple[str, str]]:

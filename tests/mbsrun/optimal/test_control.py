@@ -266,6 +266,19 @@ def test_a_guess_is_made_of_arrays_by_name(swing: OptimalControl, solved: Solved
     assert [place for place, *_ in error.value.findings] == ["guess.q_pol", "guess.u_cart", "guess.t", "guess.q_cart"]
 
 
+def test_a_guess_by_name_may_give_unknowns_a_number(swing: OptimalControl) -> None:
+    """The number decides which of two values is found; a row over time that does not vary will do."""
+    free = swing.with_changes(
+        unknowns={"k": {"guess": 0.5}}, constraints=[{"expression": "k**2", "range": [4, 4], "at": "end"}]
+    )
+    line = {"t": [0, 2], "q_cart": [0, 1], "q_pole": [0, 3]}
+    assert free.solve(guess={**line, "k": 1.9}, check=False).unknowns["k"] == pytest.approx(2)
+    assert free.solve(guess={**line, "k": [-1.9, -1.9]}, check=False).unknowns["k"] == pytest.approx(-2)
+    for wrong in ([1, 2], np.nan, "two", []):
+        with pytest.raises(ProblemError, match=r"guess.k: no finite number, or several"):
+            free.solve(guess={**line, "k": wrong})
+
+
 def test_a_number_of_a_guess_that_is_not_finite_is_named(swing: OptimalControl, solved: Solved, tmp_path: Path) -> None:
     """Nothing of a guess is left out in silence: arrays, trajectories, and columns of files that lack an end."""
     with pytest.raises(ProblemError, match=r"guess.u_cart: nan at t = 1 s, number 1"):
