@@ -365,8 +365,17 @@ def _read_table(path: Path, manifest: Manifest) -> Recording:
         faults.append(Fault(str(path), 0, "", "it has one row", "give the inputs at two times or more"))
     if faults:
         raise InputError(faults)
+    if left := [name for name in found.names if _is_of_no_input(name, manifest)]:
+        say(f"warning: {path}: {', '.join(left)}: of no input of the model, which has {_list(manifest.inputs)}")
     ends = np.arange(len(times) - 1)[:, None] + [0, 1]
     return Recording(follow_polynomials(times, times[ends], values[ends]))
+
+
+def _is_of_no_input(column: str, manifest: Manifest) -> bool:
+    """Return whether a column names an input that the model does not have."""
+    marks = [name.removesuffix("{}]") for name in INPUT_COLUMNS if name.endswith("[{}]")]
+    label = next((column.removeprefix(mark).removesuffix("]") for mark in marks if column.startswith(mark)), None)
+    return label is not None and label not in manifest.inputs
 
 
 def _print_motion(motion: Motion, manifest: Manifest) -> None:

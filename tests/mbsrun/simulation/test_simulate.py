@@ -512,5 +512,7 @@ def test_a_table_gives_the_inputs(
         Path("push.csv").write_text(content, "utf-8")
         code, err = run()
         assert (code, finding in err) == (2, True), err
+    Path("push.csv").write_text("t,u[x],u[y],q[y]\n0,1,0,0\n1,2,0,0\n", "utf-8")
+    assert "warning: push.csv: u[y]: of no input of the model, which has x" in run()[1]
     Path("push.csv").write_text("t,x\n0,1\n1,2\n", "utf-8")
     assert "gives the inputs" in run("--input", "x=1")[1]
