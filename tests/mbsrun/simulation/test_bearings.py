@@ -226,11 +226,21 @@ def test_paradoxes_end_in_words(make: Make) -> None:
 def test_a_motion_that_meets_a_paradox_keeps_the_steps_before_it(make: Make) -> None:
     motion = run(make(PAINLEVE), [0.0, 1.3], [3.0, 0.0], 1.0)
     assert motion.halt is not None
+    assert "by the load of joints slide is not known to rounding" in motion.halt.finding
     assert motion.halt.time > 0.01
     assert motion.t[-1] == motion.halt.time
     m, s, c = 1.0, np.sin(motion.q[-1, 1]), np.cos(motion.q[-1, 1])
     det = 1.1 * 1.01 - c**2
     np.testing.assert_allclose(abs(1.3 * m**2 * s * c / det), 1.0, rtol=1e-6)  # where the load starts to be ambiguous
+
+
+def test_a_paradox_on_the_way_names_all_joints_that_slide(make: Make) -> None:
+    friction = "friction: {torque: 0, load: {coefficient: 0.1, radius: 0.05}}"
+    model = make(PAINLEVE.replace("axis: y, actuated: false", f"axis: y, actuated: false, {friction}"))
+    halt = run(model, [0.0, 1.3], [3.0, 0.1], 1.0).halt
+    assert halt is not None
+    assert halt.time > 0.1
+    assert "by the load of joints slide, rod is not known" in halt.finding
 
 
 def test_all_roots_of_one_load_are_found() -> None:

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import ArrayLike, NDArray
+from scipy.integrate import solve_ivp
 
 from mbsgen.errors import InputError
 from mbsrun import Mechanism, load
@@ -15,8 +18,9 @@ from mbsrun.simulation import Impacts, Kind, Latch, Motion, Settings, differenti
 from mbsrun.simulation.drive import control, hold
 from mbsrun.simulation.integration.methods import find_refusals
 from mbsrun.simulation.statement import read_statement
-from tests.mbsrun.simulation.conftest import load_texts
+from tests.mbsrun.simulation.conftest import MODELS, load_texts
 
+Array = NDArray[np.float64]
 Make = Callable[[str], Mechanism]
 
 NEEDED = Extent(("exp2", "impl", "semi", "semi_res", "energy", "power", "frames", "touching", "distances"), 1)
@@ -176,3 +180,39 @@ def test_a_coupling_has_a_force(tmp_path: Path) -> None:
     file.write_text(WHEELS.replace(", hold: 3", ""), encoding="utf-8")
     with pytest.raises(InputError, match=r"stops\[0\].limits: no limit"):
         load(file)
+
+
+def test_the_clutch_of_the_models_engages_and_lets_go_as_settings_say() -> None:
+    """SciPy's DOP853 on both apart, then as one: 0.02 w' = 12 - 0.08 w and 1.924 w' = 60 g 0.02 sin q - 0.01 w."""
+    model = load(MODELS / "switching" / "clutch.yaml", extent=NEEDED)
+    motion = simulate(model, hold([]), [0, 0], [0, 0], Settings(6.0, **TIGHT, latches=(Latch("clutch", ((1, 4),)),)))
+    I, J, c, d, weight = 0.02, 1.9 + 60 * 0.02**2, 0.08, 0.01, 60 * 9.81 * 0.02
+
+    def apart(_: float, x: Array) -> list[float]:
+        return [x[2], x[3], (12 - c * x[2]) / I, (weight * np.sin(x[1]) - d * x[3]) / J]
+
+    def together(_: float, x: Array) -> list[float]:
+        rate = (12 - (c + d) * x[2] + weight * np.sin(x[1])) / (I + J)
+        return [x[2], x[3], rate, rate]
+
+    def follow(law: Callable[[float, Array], list[float]], start: ArrayLike, *span: float) -> Any:
+        return solve_ivp(law, span, start, "DOP853", rtol=1e-13, atol=1e-13, dense_output=True)
+
+    speed, turned = 150 * (1 - np.exp(-4)), 150 * (1 - (1 - np.exp(-4)) / 4)
+    joined = I * speed / (I + J)
+    held = follow(together, [turned, 0, joined, joined], 1, 4)
+    torque = I * np.array([together(t, held.sol(t))[2] for t in held.t]) + c * held.y[2] - 12
+    assert np.abs(torque).max() < 60  # it does not part before its time
+    events = [("clutch", Kind.IMPACT, 1.0), ("clutch", Kind.REST, 1.0), ("clutch", Kind.LEAVE, 4.0)]
+    assert [(x.joint, x.kind, x.time) for x in motion.events] == events
+    end = follow(apart, held.y[:, -1], 4, 6).y[:, -1]
+    np.testing.assert_allclose([*motion.q[-1], *motion.qd[-1]], end, rtol=1e-9)
+    k = int(np.flatnonzero(motion.t >= 2.5)[0])
+    found = held.sol(motion.t[k])
+    np.testing.assert_allclose([*motion.q[k], *motion.qd[k]], found, rtol=1e-10)
+    expected = 12 - c * found[2] - I * together(0, found)[2]
+    np.testing.assert_allclose(motion["normal_clutch"][k], expected, rtol=1e-9)
+    assert motion.energy is not None
+    assert motion.energy.impacts is not None
+    lost = I * J / (I + J) * speed**2 / 2
+    np.testing.assert_allclose(motion.energy.impacts[-1], lost, rtol=1e-11)

@@ -25,7 +25,8 @@ the law of motion of mechanical systems with Coulomb friction", J. Appl. Math. M
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
@@ -208,9 +209,11 @@ class Bearings:
                 if sliding.size > 1:
                     finding = f"whether a motion obeys the friction by the load of joints {self._name(sliding)}"
                     raise LoadError(f"{finding} is not known: their loads depend on it too much")
-                loads = np.array(_find_roots(c[0], D[0, :, :, 0])).reshape(-1, 1, 1)
+                with self._naming(sliding):
+                    loads = np.array(_find_roots(c[0], D[0, :, :, 0])).reshape(-1, 1, 1)
             else:
-                loads = _contract(pattern.sums, S, c, D)[None]
+                with self._naming(sliding):
+                    loads = _contract(pattern.sums, S, c, D)[None]
         return [
             self._complete(state, pattern.held, start + _apply(columns, N), forces, (sliding, factors * N))
             for N in loads
@@ -231,6 +234,20 @@ class Bearings:
         names = self._name(np.flatnonzero(self.static > 0))
         told = "no motion obeys" if not count else f"{count} motions obey"
         return LoadError(f"{told} the friction by the load of joints {names}: Painleve's paradox")
+
+    def doubt(self, sliding: NDArray[np.intp]) -> LoadError:
+        """Return the error of joints that slide, and whose loads are not known to rounding."""
+        return LoadError(
+            f"whether a motion obeys the friction by the load of joints {self._name(sliding)} is not known to rounding"
+        )
+
+    @contextmanager
+    def _naming(self, sliding: NDArray[np.intp]) -> Iterator[None]:
+        """Name the joints where their loads are not found."""
+        try:
+            yield
+        except LoadError:
+            raise self.doubt(sliding) from None
 
     def settle(self, state: State, qd: Array, released: Mapping[int, int]) -> tuple[NDArray[np.int_], Rub]:
         """Return the mode of each joint in one state; `released` ones start to slide. Raises LoadError."""

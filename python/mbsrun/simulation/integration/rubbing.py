@@ -47,15 +47,17 @@ class RubbingCourse(BrakedCourse):
         return q, qd
 
     def explain(self, halt: BaseException) -> BaseException:
-        """Return why steps end early: of loads that are not known, whether they are none or several."""
-        if self.plant.is_lost:
-            assert self.modes is not None, "steps have a mode"
-            q, qd, v = (self.plant.memory.arrays[name][None] for name in ("q", "qd", "v"))
-            try:
-                self.bearings.slide(self.bearings.place(q, qd, v[:, :-1]), qd, self.bearings.read(self.modes))
-            except LoadError as error:
-                return error
-        return halt
+        """Return why steps end early: where loads are not known, of which joints, and whether none or several."""
+        if not self.plant.is_lost:
+            return halt
+        assert self.modes is not None, "steps have a mode"
+        pattern = self.bearings.read(self.modes)
+        q, qd, v = (self.plant.memory.arrays[name][None] for name in ("q", "qd", "v"))
+        try:
+            self.bearings.slide(self.bearings.place(q, qd, v[:, :-1]), qd, pattern)
+        except LoadError as error:
+            return error
+        return self.bearings.doubt(pattern.sliding)
 
     def push(self, piece: Piece) -> Push:
         """Return accelerations and the power of friction by loads in the present mode, as a function of states."""
