@@ -67,8 +67,9 @@ from mbsgen.model.model import (
     Wrench,
 )
 from mbsgen.model.sections import read_direction, read_friction, read_number
+from mbsgen.model.slips import list_slips
 from mbsgen.model.tree import Cut, Kind, Motion
-from mbsgen.model.tyres import BRUSH, MAGIC, Tyre
+from mbsgen.model.tyres import BRUSH, MAGIC, WAYS, Tyre, drop_unread
 
 Quantity = Expression | float | str  # a number, or an expression as text
 Vector = Sequence[Quantity]  # three of them
@@ -365,16 +366,32 @@ def stop(
     return Stop(name, number(quantity), lower, upper, Stops(**_read_keys(law, STOPS)), number(hold))
 
 
-def brush(longitudinal: Quantity, lateral: Quantity, friction: Quantity, length: Quantity = 0.0) -> Tyre:
-    """Make a tyre of bristles: its stiffnesses [N], its friction, and half the length of its contact [m]."""
-    values = longitudinal, lateral, friction, length
-    return Tyre("brush", tuple(zip(BRUSH, map(number, values), strict=True)))
+def brush(
+    longitudinal: Quantity,
+    lateral: Quantity,
+    friction: Quantity,
+    length: Quantity = 0.0,
+    relaxation: Mapping[str, Quantity] | None = None,
+) -> Tyre:
+    """Make a tyre of bristles: its stiffnesses [N], its friction, and half the length of its contact [m].
+
+    `relaxation` has its relaxation lengths [m], `longitudinal` and `lateral`; slips are states that way.
+    """
+    values, lengths = (longitudinal, lateral, friction, length), relaxation or {}
+    if strange := [key for key in lengths if key not in WAYS]:
+        raise WrongValueError(f"a relaxation {abbreviate(strange[0])}", f"give {' or '.join(WAYS)}")
+    known = tuple((way, number(lengths[way])) for way in WAYS if way in lengths)
+    return Tyre("brush", tuple(zip(BRUSH, map(number, values), strict=True)), lengths=known)
 
 
-def magic(coefficients: Mapping[str, Quantity], *, mirrored: bool = False) -> Tyre:
-    """Make a tyre by the Magic Formula, of coefficients by their names in TIR files."""
+def magic(coefficients: Mapping[str, Quantity], *, mirrored: bool = False, transient: bool = False) -> Tyre:
+    """Make a tyre by the Magic Formula, of coefficients by their names in TIR files.
+
+    The slips of a transient one are states, which relax by the lengths of its coefficients.
+    """
     given = {**{key: 0.0 if x is None else x for key, x in MAGIC.items()}, **coefficients}
-    return Tyre("magic", tuple((key, number(x)) for key, x in given.items()), mirrored=mirrored)
+    numbers = drop_unread(tuple((key, number(x)) for key, x in given.items()), transient)
+    return Tyre("magic", numbers, mirrored=mirrored, transient=transient)
 
 
 def loop(
@@ -429,7 +446,7 @@ def make_model(
     made = Model(
         name,
         vector(gravity),
-        tuple(bodies),
+        (*bodies, *list_slips(contacts)),
         named,
         tuple(frames),
         tuple(wrenches),

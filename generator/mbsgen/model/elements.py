@@ -33,7 +33,8 @@ The wheel turns about c and its axis a. Its sphere is at c - R e, the point of t
     e = (n - (n.a) a) / sqrt(1 - (n.a)^2)
 
 A wheel that lies flat on the plane has no such point: kernels then fail, with a status of the contact. With a tyre, the
-force and the moment of `mbsgen.model.tyres` act at p - gap n, the point of the plane below.
+force and the moment of `mbsgen.model.tyres` act at p - gap n, the point of the plane below. Where its slips are states,
+they are the speeds of joints (`mbsgen.model.slips`), which feel their rates as forces.
 
 A sphere with R -> inf is the plane, and either of two spheres may be called the other one. With the velocity v of the
 first side relative to the other one, both at p, and rate = n.v, the force
@@ -78,6 +79,7 @@ from mbsgen.model import model
 from mbsgen.model.contact_laws import SphereLaw
 from mbsgen.model.model import LENGTH, LENGTH_RATE, Block, Capsule, Contact, ForceElement, Sphere, Stop, press
 from mbsgen.model.quantities import name_lengths
+from mbsgen.model.slips import name_slip
 from mbsgen.model.symbols import total
 from mbsgen.model.tree import (
     IDENTITY,
@@ -92,9 +94,10 @@ from mbsgen.model.tree import (
     Rigid,
     Vector,
     Wrench,
+    rate_symbol,
 )
 from mbsgen.model.triples import add, cross, dot, scale, subtract
-from mbsgen.model.tyres import Tyre
+from mbsgen.model.tyres import LATERAL, LONGITUDINAL, Tyre
 from mbsgen.model.wrapping import Round, Turn, holds, make_turn
 
 POWERS = (1.0, 1.5, 2.0, 2.5, 3.0)  # exponents of a depth
@@ -126,6 +129,8 @@ _SLOPES = (  # of the gap by x
 )
 _DRAG = parse("coefficient*normal/sqrt(square + speed**2)")
 _NOTHING: Vector = (ZERO, ZERO, ZERO)
+_DEFLECTIONS = {LONGITUDINAL: "u", LATERAL: "v"}  # names in the laws of tyres
+_LENGTHS = {LONGITUDINAL: "sigma_x", LATERAL: "sigma_y"}
 
 
 @dataclass(frozen=True)
@@ -589,11 +594,18 @@ class Loads:
         own = {key: self._read(x, {}) for key, x in (*tyre.numbers, ("speed", tyre.speed))}
         own |= {key: x if x.is_Symbol else self._define(name, key, x) for key, x in given.items()}
         own |= {key: side * own[key] for key in ("sy", "gamma")}
+        slips = {way: rate_symbol(name_slip(contact.name, way)) for way in tyre.relaxed}
+        signs = {LONGITUDINAL: 1, LATERAL: side}
+        for way, rate in slips.items():
+            own[_DEFLECTIONS[way]] = signs[way] * rate
+        own |= {_LENGTHS[way]: self._read(x, {}) for way, x in tyre.lengths}
         own["radius"] = self._read(contact.wheel.radius, {}) + self._read(contact.radius, {})
         own["stiffness"] = self._read(contact.stiffness, {})
         for key, law in tyre.law:
             value = self._read(law, own)
             own[key] = value if value.is_number else self._define(name, key, value)
+        for way in slips:
+            self.pushes.append((name_slip(contact.name, way), signs[way] * own[f"d{_DEFLECTIONS[way]}"]))
         return (own["Fx"], side * own["Fy"]), (side * own["Mx"], own["My"], side * own["Mz"])
 
     def _meet(self, contact: Contact, name: str, centre: Anchor, side: Side, circle: Circle | None) -> _Meeting:

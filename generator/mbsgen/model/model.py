@@ -263,6 +263,7 @@ class Body:
     inertia: Inertia = Inertia()
     visuals: tuple[Visual, ...] = ()
     is_list: bool = field(default=False, compare=False)  # the file lists the joints, each with its own place
+    slips_at: str = ""  # the contact of a tyre whose slip its speed is, see `slips`: no file has it
 
     @property
     def joints(self) -> tuple[Joint, ...]:

@@ -28,8 +28,9 @@ from mbsgen.model.joints.dh import DhSection, place_tail
 from mbsgen.model.joints.elementary import ElementarySection
 from mbsgen.model.joints.section import JointSection
 from mbsgen.model.model import Body, Carrier, Fixed, Frame, Inertia, Joint, Model, Parameter, Row, Triple, Wrench
+from mbsgen.model.slips import list_slips
 from mbsgen.model.tree import Kind
-from mbsgen.model.tyres import NEEDED
+from mbsgen.model.tyres import NEEDED, RELAXING
 
 
 def read_model(path: Path) -> Model:
@@ -45,14 +46,18 @@ def read_model(path: Path) -> Model:
         model = _make_model(section, tyres)
         doubtful = examination.stand_ins | _follow_carriers(section, examination.stand_ins)
         findings = [*_check_joints(section), *_check_contacts(section, tyres), *find_faults(model, doubtful)]
-        faults += [document.fault(_locate(found.place, section), found.finding, found.remedy) for found in findings]
+        faults += [
+            document.fault(_locate(found.place, section, model), found.finding, found.remedy) for found in findings
+        ]
     if faults or section is None:
         raise refuse(faults)
     for table in dict.fromkeys(tyres.values()):
+        if found := _list_steady(table, section, tyres):
+            warnings.warn(f"{table.file}: {STEADY.format(', '.join(found))}", ModelWarning, stacklevel=2)
         if table.unused:
             warnings.warn(f"{table.file}: {UNUSED.format(', '.join(table.unused))}", ModelWarning, stacklevel=2)
-    for found in find_doubts(model):
-        fault = document.fault(_locate(found.place, section), found.finding, found.remedy)
+    for doubt in find_doubts(model):
+        fault = document.fault(_locate(doubt.place, section, model), doubt.finding, doubt.remedy)
         warnings.warn(str(fault), ModelWarning, stacklevel=2)
     return model
 
@@ -61,7 +66,8 @@ class ModelWarning(UserWarning):
     """Something in a model file that is taken as it stands, but may not be meant."""
 
 
-UNUSED = "no formula of MF-Tyre 5.2 without turn slip, pressure and relaxation has {}; these are left out"
+UNUSED = "no formula of MF-Tyre 5.2 without turn slip and pressure has {}; these are left out"
+STEADY = "without transient: true in a tyre, the relaxation lengths {} are left out"
 NO_TYRE = TyreFile("", dict.fromkeys(NEEDED, 1.0), {}, ())  # in place of a file that is at fault
 
 
@@ -91,16 +97,26 @@ def _read_tyres(
     return tables, faults
 
 
+def _list_steady(table: TyreFile, section: schema.ModelSection, tyres: Mapping[int, TyreFile]) -> list[str]:
+    """List the coefficients of a file by which slips relax, where no tyre of the file is transient."""
+    used = [contact.tyre for i, contact in enumerate(section.contacts) if tyres.get(i) is table]
+    if any(tyre is not None and tyre.transient for tyre in used):
+        return []
+    return [key for key in RELAXING if key.startswith("P") and table.magic.get(key)]
+
+
 def _make_model(section: schema.ModelSection, tyres: Mapping[int, TyreFile]) -> Model:
+    contacts = tuple(contact.make(tyres.get(i)) for i, contact in enumerate(section.contacts))
+    carriers = (_make_carrier(section.bodies[i]) for i in _list_standard(section))
     return Model(
         name=section.name,
         gravity=section.gravity,
         parameters=tuple(_make_parameter(name, value) for name, value in section.parameters.items()),
-        bodies=(*map(_make_body, section.bodies), *(_make_carrier(section.bodies[i]) for i in _list_standard(section))),
+        bodies=(*map(_make_body, section.bodies), *carriers, *list_slips(contacts)),
         frames=tuple(Frame(x.name, x.body, x.placement, x.sensor) for x in section.frames),
         wrenches=tuple(map(_make_wrench, section.wrenches)),
         forces=tuple(element.make() for element in section.forces),
-        contacts=tuple(contact.make(tyres.get(i)) for i, contact in enumerate(section.contacts)),
+        contacts=contacts,
         stops=tuple(stop.make() for stop in section.stops),
         signals=section.signals,
         loops=tuple(loop.make() for loop in section.loops),
@@ -208,9 +224,15 @@ def _check_contacts(section: schema.ModelSection, tyres: Mapping[int, TyreFile])
 
 
 def _check_tyre(place: Place, tyre: TyreSection | None) -> Iterator[Finding]:
-    if tyre is None or tyre.brush is None:
+    if tyre is None:
         return
-    for key, given in (("file", tyre.file), ("coefficients", tyre.coefficients)):
+    if tyre.brush is None:
+        for key in RELAXING:
+            if key in tyre.coefficients and not tyre.transient:
+                finding = f"{key} of a tyre that is not transient"
+                yield Finding((*place, "coefficients", key), finding, "give transient: true, or leave it out")
+        return
+    for key, given in (("file", tyre.file), ("coefficients", tyre.coefficients), ("transient", tyre.transient)):
         if given:
             yield Finding((*place, key), f"{key} beside a brush", "give one of them")
 
@@ -225,10 +247,13 @@ def _follow_carriers(section: schema.ModelSection, doubtful: frozenset[Place]) -
     )
 
 
-def _locate(place: Place, section: schema.ModelSection) -> Place:
+def _locate(place: Place, section: schema.ModelSection, model: Model) -> Place:
     """Find in the file what a Model has at a place: an elementary joint may be part of one that the file names."""
     standard, count = _list_standard(section), len(section.bodies)
     match place:
+        case ("bodies", int(i), *_) if i >= count + len(standard):
+            own = [contact.name for contact in section.contacts].index(model.bodies[i].slips_at)
+            return ("contacts", own, "tyre")
         case ("bodies", int(i), *rest) if i >= count:
             return ("bodies", standard[i - count], *rest)
         case ("bodies", int(i), "joint", *_) if i in standard:

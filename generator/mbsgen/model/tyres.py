@@ -21,32 +21,49 @@ elastic force r = |(longitudinal sx, lateral sy)|/W, and p = r/(3 friction load)
 
 It is the law of a row of bristles under a parabolic pressure, over a contact of half the length `length`, where both
 stiffnesses are the same (Pacejka, chapter 3).
+
+With relaxation lengths, slips follow from the deflections u forward and v to the left, which are states:
+
+    du/dt = re s - vx - V u/sigma_x,   kappa = u/sigma_x,        dv/dt = sy - V v/sigma_y,   tan alpha = v/sigma_y,
+
+with W in place of V for a brush. At a constant speed they tend to the slips above. By MF-Tyre 5.2,
+
+    sigma_x = Fz (PTX1 + PTX2 dfz) exp(-PTX3 dfz) R0/FNOMIN LSGKP,
+    sigma_y = PTY1 sin(2 atan(Fz/(PTY2 Fz0))) (1 - PKY3 |gamma|) R0 LFZO LSGAL,
+
+here at least a hundredth of the radius, since both vanish with the load.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 from types import MappingProxyType
 from typing import Literal
 
 from mbsgen.expressions import Expression, Number, parse
 
 FADING = Number(0.1)  # [m/s] below which slips fade, unless a tyre says otherwise
+LONGITUDINAL, LATERAL = "longitudinal", "lateral"
+WAYS = MappingProxyType({LONGITUDINAL: "PTX1", LATERAL: "PTY1"})  # in which slips relax, and what decides whether
 BRUSH: Mapping[str, Expression | None] = MappingProxyType(
     {"longitudinal": None, "lateral": None, "friction": None, "length": Number(0.0)}
 )  # numbers of a brush, and their values where a file leaves them out
 
 NEEDED = ("FNOMIN", "PCX1", "PDX1", "PKX1", "PCY1", "PDY1", "PKY1", "PKY2")
 POSITIVE = ("FNOMIN", "LFZO", "LMUX", "LMUY", "LCX", "LCY", "PCX1", "PCY1", "PKY2", "LONGVL")
+RELAXING = ("PTX1", "PTX2", "PTX3", "PTY1", "PTY2", "LSGKP", "LSGAL")  # of transient tyres alone
 _SCALES = (
     "LFZO LCX LMUX LEX LKX LHX LVX LGAX LCY LMUY LEY LKY LHY LVY LGAY LTR LRES LGAZ LXAL LYKA LVYKA LS LMX LVMX LMY"
+    " LSGKP LSGAL"
 )
 _ZEROS = (
     "PDX2 PDX3 PEX1 PEX2 PEX3 PEX4 PKX2 PKX3 PHX1 PHX2 PVX1 PVX2 RBX1 RBX2 RCX1 REX1 REX2 RHX1 PDY2 PDY3 PEY1 PEY2 PEY3"
     " PEY4 PKY3 PHY1 PHY2 PHY3 PVY1 PVY2 PVY3 PVY4 RBY1 RBY2 RBY3 RCY1 REY1 REY2 RHY1 RHY2 RVY1 RVY2 RVY3 RVY4 RVY5"
     " RVY6 QSX1 QSX2 QSX3 QSY1 QSY2 QSY3 QSY4 QBZ1 QBZ2 QBZ3 QBZ4 QBZ5 QBZ9 QBZ10 QCZ1 QDZ1 QDZ2 QDZ3 QDZ4 QDZ6 QDZ7"
     " QDZ8 QDZ9 QEZ1 QEZ2 QEZ3 QEZ4 QEZ5 QHZ1 QHZ2 QHZ3 QHZ4 SSZ1 SSZ2 SSZ3 SSZ4 BREFF DREFF FREFF"
+    " PTX1 PTX2 PTX3 PTY1 PTY2"
 )
 MAGIC: Mapping[str, float | None] = MappingProxyType(
     {
@@ -130,6 +147,28 @@ _BRUSH = {
 }
 _ROLLING = "radius - at*(DREFF*atan(BREFF*depth/at) + FREFF*depth/at)"
 
+_RELAXED = {  # by kinds and ways: what replaces or precedes definitions of the law
+    ("magic", LONGITUDINAL): {
+        "sigma_x": "max(load*(PTX1 + PTX2*(load/nominal - 1))*exp(-PTX3*(load/nominal - 1))*radius/FNOMIN*LSGKP,"
+        " radius/100)",
+        "kappa": "u/sigma_x",
+    },
+    ("magic", LATERAL): {
+        "sigma_y": "max(2*PTY1*load/(PTY2*nominal)/(1 + (load/(PTY2*nominal))**2)*(1 - PKY3*abs(gamma*LGAY))"
+        "*radius*LFZO*LSGAL, radius/100)",
+        "alpha": "atan(v/sigma_y)",
+        "cosine": "vx/(V*sqrt(1 + (v/sigma_y)**2))",
+    },
+    ("brush", LONGITUDINAL): {"ex": "longitudinal*u/sigma_x"},
+    ("brush", LATERAL): {"ey": "-lateral*v/sigma_y"},
+}
+_RATES = {  # of the deflections
+    ("magic", LONGITUDINAL): {"du": "rolling*spin - vx - V*u/sigma_x"},
+    ("magic", LATERAL): {"dv": "sy - V*v/sigma_y"},
+    ("brush", LONGITUDINAL): {"du": "radius*spin - vx - W*u/sigma_x"},
+    ("brush", LATERAL): {"dv": "sy - W*v/sigma_y"},
+}
+
 Law = tuple[tuple[str, Expression], ...]
 
 
@@ -145,6 +184,25 @@ _LAWS: Mapping[str, Law] = MappingProxyType(
 )
 
 
+def drop_unread(numbers: tuple[tuple[str, Expression], ...], transient: bool) -> tuple[tuple[str, Expression], ...]:
+    """Leave out the coefficients that only transient tyres read."""
+    return tuple((key, x) for key, x in numbers if transient or key not in RELAXING)
+
+
+@cache
+def _relax(kind: str, ways: tuple[str, ...]) -> Law:
+    """Return a law whose slips relax in some ways; the lengths come before the first definition that reads one."""
+    law = dict(_LAWS[kind])
+    for way in ways:
+        own = dict(_read(_RELAXED[kind, way]))
+        first = next(k for k, key in enumerate(law) if key in own)
+        before = {key: x for key, x in own.items() if key not in law}
+        items = [*law.items()]
+        law = {**dict(items[:first]), **before, **dict(items[first:]), **{k: x for k, x in own.items() if k in law}}
+        law |= dict(_read(_RATES[kind, way]))
+    return tuple(law.items())
+
+
 @dataclass(frozen=True)
 class Tyre:
     """A tyre of a wheel on a plane."""
@@ -153,8 +211,21 @@ class Tyre:
     numbers: tuple[tuple[str, Expression], ...]  # by their names: of MAGIC or BRUSH, in order
     speed: Expression = FADING  # [m/s]
     mirrored: bool = False  # measured on the other side of a car
+    transient: bool = False  # a Magic Formula's slips relax by the lengths of its coefficients
+    lengths: tuple[tuple[str, Expression], ...] = ()  # of relaxation of a brush, by WAYS [m]
+
+    @property
+    def relaxed(self) -> tuple[str, ...]:
+        """The ways in which slips are states."""
+        if self.kind == "brush":
+            return tuple(way for way, _ in self.lengths)
+        numbers = dict(self.numbers)
+        return tuple(way for way, key in WAYS.items() if self.transient and numbers[key] != Number(0.0))
 
     @property
     def law(self) -> Law:
-        """Return what is computed in turn, with names: over slips, load and numbers; Fx, Fy, Mx, My, Mz are in it."""
-        return _LAWS[self.kind]
+        """Return what is computed in turn, with names: over slips, load and numbers; Fx, Fy, Mx, My, Mz are in it.
+
+        Where slips relax, the law is also over the deflections u and v, whose rates du and dv are in it.
+        """
+        return _relax(self.kind, self.relaxed)

@@ -70,7 +70,7 @@ def write_model(model: Model) -> str:
     content: Mapped = {"name": _quote(model.name), "gravity": _write_triple(model.gravity)}
     if model.parameters:
         content["parameters"] = {_quote(parameter.name): _write_parameter(parameter) for parameter in model.parameters}
-    content["bodies"] = [_write_body(body) for body in model.bodies]
+    content["bodies"] = [_write_body(body) for body in model.bodies if not body.slips_at]
     if model.frames:
         content["frames"] = [_write_frame(frame) for frame in model.frames]
     if model.wrenches:
@@ -360,7 +360,12 @@ def _write_sphere_law(law: SphereLaw) -> Mapped:
 def _write_tyre(tyre: Tyre) -> Mapped:
     usual = BRUSH if tyre.kind == "brush" else {key: None if x is None else Number(x) for key, x in MAGIC.items()}
     numbers = {key: _write_number(x) for key, x in tyre.numbers if x != usual[key]}
-    content: Mapped = {"brush" if tyre.kind == "brush" else "coefficients": numbers}
+    own: Mapped = {**numbers}
+    if tyre.lengths:
+        own["relaxation"] = {way: _write_number(x) for way, x in tyre.lengths}
+    content: Mapped = {"brush" if tyre.kind == "brush" else "coefficients": own}
+    if tyre.transient:
+        content["transient"] = "true"
     if tyre.mirrored:
         content["mirrored"] = "true"
     if tyre.speed != FADING:

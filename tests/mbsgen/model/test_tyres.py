@@ -12,15 +12,17 @@ from numpy.typing import NDArray
 
 from mbsgen.assembly import assemble
 from mbsgen.errors import InputError
+from mbsgen.expressions import Number
 from mbsgen.formulations import impl
 from mbsgen.formulations.reductions import ALL
 from mbsgen.model.changes.reduction import build_tree
 from mbsgen.model.changes.releasing import with_runtime_numbers
-from mbsgen.model.construction import body, brush, contact, joint, make_model
+from mbsgen.model.changes.scene import Scene, stage
+from mbsgen.model.construction import body, brush, contact, joint, magic, make_model
 from mbsgen.model.file.tir import read_tyre
 from mbsgen.model.model import Model
 from mbsgen.model.reader import ModelWarning, read_model
-from mbsgen.model.tyres import MAGIC, Tyre
+from mbsgen.model.tyres import MAGIC, NEEDED, Tyre
 from mbsgen.model.writer import write_model
 from mbsgen.procedure.procedure import straight
 from mbsgen.tape.interpreter import evaluate
@@ -239,6 +241,33 @@ def test_a_fault_of_a_file_is_named(tmp_path: Path, change: tuple[str, str], mes
             "file beside a brush",
         ),
         (("file: road.tir", "file: road.tir, speed: 0"), "found 0; give more than 0"),
+        (
+            ("file: road.tir", "file: road.tir, transient: true"),
+            r"transient: no relaxation length: PTX1 and PTY1 are missing, or 0; give them under coefficients",
+        ),
+        (
+            ("file: road.tir", "file: road.tir, coefficients: {PTX1: 1}"),
+            r"PTX1: PTX1 of a tyre that is not transient; give transient: true",
+        ),
+        (
+            ("file: road.tir", "file: road.tir, transient: true, coefficients: {PTY1: 1}"),
+            r"PTY2: found 0; give more than 0",
+        ),
+        (
+            (
+                "{axis: y}, tyre: {file: road.tir}",
+                "{radius: 1}, stiffness: 1, tyre: {transient: true, brush: {longitudinal: 1, lateral: 1, friction: 1}}",
+            ),
+            "transient beside a brush",
+        ),
+        (
+            (
+                "{axis: y}, tyre: {file: road.tir}",
+                "{radius: 1}, stiffness: 1,"
+                " tyre: {brush: {longitudinal: 1, lateral: 1, friction: 1, relaxation: {lateral: 0}}}",
+            ),
+            r"relaxation\.lateral: found 0; give more than 0",
+        ),
         (("wheel: {axis: y}, ", ""), "a tyre without a wheel"),
         (("wheel:", "friction: {coefficient: 1, speed: 1}, wheel:"), "friction beside a tyre"),
         (("wheel:", "restitution: 0, wheel:"), "restitution beside a tyre"),
@@ -253,8 +282,37 @@ def test_a_fault_of_a_tyre_is_named(tmp_path: Path, change: tuple[str, str], mes
 
 
 def test_what_is_left_out_is_said(tmp_path: Path) -> None:
-    """Relaxation lengths and pressures are not computed."""
+    """Pressures are not computed, and relaxation lengths of transient tyres alone."""
     (tmp_path / "road.tir").write_text(ROAD.read_text() + "PTX1 = 1.5\nPTY1 = 0\nPPX1 = 0.3\n")
     (tmp_path / "rig.yaml").write_text(RIG)
-    with pytest.warns(ModelWarning, match=r"road\.tir: no formula .* has PTX1, PPX1; these are left out"):
+    with pytest.warns(ModelWarning) as found:
         read_model(tmp_path / "rig.yaml")
+    pressure, relaxation = sorted(str(x.message).split("road.tir: ")[1] for x in found)
+    assert pressure == "no formula of MF-Tyre 5.2 without turn slip and pressure has PPX1; these are left out"
+    assert relaxation == "without transient: true in a tyre, the relaxation lengths PTX1 are left out"
+    (tmp_path / "rig.yaml").write_text(RIG.replace("file: road.tir", "file: road.tir, transient: true"))
+    with pytest.warns(ModelWarning) as found:
+        model = read_model(tmp_path / "rig.yaml")
+    assert len(found) == 1
+    assert [x.name for x in model.bodies] == ["hub", "road.longitudinal"]  # PTY1 is 0
+
+
+def test_slips_that_are_states_are_bodies(tmp_path: Path) -> None:
+    """A file keeps the lengths, not the bodies; lengths of a brush become inputs; locked bodies have no slips."""
+    lengths = {"longitudinal": 0.3, "lateral": 0.5}
+    model = make_rig(brush(8e4, 6e4, 0.9, 0.05, lengths))
+    assert [x.name for x in model.bodies] == ["hub", "road.longitudinal", "road.lateral"]
+    (tmp_path / "copy.yaml").write_text(write_model(model))
+    assert read_model(tmp_path / "copy.yaml") == model
+    assert "contacts.road.tyre.relaxation.lateral" in {x.name for x in with_runtime_numbers(model).parameters}
+    still = stage(model, Scene(locked=tuple((f"hub.{k}", Number(0.0)) for k in ("x", "y", "z", "rz", "rx", "ry"))))
+    assert not still.contacts
+    assert [x.name for x in still.bodies] == ["hub"]
+    coefficients = dict.fromkeys(NEEDED, 1.0) | {"PTX1": 1.2, "PTY1": 2.0, "PTY2": 1.5, "LSGAL": 0.8}
+    model = make_rig(magic(coefficients, transient=True))
+    (tmp_path / "copy.yaml").write_text(write_model(model))
+    assert read_model(tmp_path / "copy.yaml") == model
+    assert magic({**coefficients, "PTX1": 0}, transient=True).relaxed == ("lateral",)
+    assert magic(coefficients).relaxed == ()
+    with pytest.raises(ValueError, match='a relaxation "across"; give longitudinal or lateral'):
+        brush(8e4, 6e4, 0.9, relaxation={"across": 1})

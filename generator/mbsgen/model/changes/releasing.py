@@ -366,7 +366,8 @@ class _Release:
             (key, self._number(f"{path}.{key}", x) if tyre.kind == "brush" or key.startswith("L") else x)
             for key, x in tyre.numbers
         )
-        return replace(tyre, numbers=released)
+        lengths = tuple((way, self._number(f"{path}.relaxation.{way}", x)) for way, x in tyre.lengths)
+        return replace(tyre, numbers=released, lengths=lengths)
 
     def _other(self, path: str, other: Other) -> Other:
         if isinstance(other, Block):

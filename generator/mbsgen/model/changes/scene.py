@@ -23,6 +23,7 @@ from mbsgen.model.following import list_joints
 from mbsgen.model.model import BASE, ORIGIN, Frame, Model
 from mbsgen.model.quantities import find_moving, find_read_frames
 from mbsgen.model.sections import NumberField
+from mbsgen.model.slips import keep_slips
 from mbsgen.model.topology import find_carriers
 from mbsgen.model.tree import Kind
 from mbsgen.roles import QUICKEST, RESERVED
@@ -111,7 +112,8 @@ def stage(model: Model, scene: Scene) -> Model:
     wrenches = tuple(w for w in felt if scene.wrenches is None or w.name in scene.wrenches)
     forces = tuple(x for x in kept.forces if len({carriers[body] for body in x.bodies}) > 1)
     contacts = tuple(x for x in kept.contacts if carriers[x.body] != carriers[x.other.body])
-    kept = replace(kept, wrenches=wrenches, forces=forces, contacts=contacts)
+    bodies = keep_slips(kept.bodies, contacts)
+    kept = replace(kept, bodies=bodies, wrenches=wrenches, forces=forces, contacts=contacts)
     kept = replace(kept, stops=tuple(x for x in kept.stops if find_moving(x.quantity, kept, carriers)))
     return replace(
         kept,

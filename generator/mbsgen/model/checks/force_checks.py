@@ -34,7 +34,7 @@ from mbsgen.model.model import (
 from mbsgen.model.muscles import Muscle
 from mbsgen.model.quantities import find_moving, find_stopped, list_quantities, name_lengths
 from mbsgen.model.topology import find_carriers
-from mbsgen.model.tyres import MAGIC, NEEDED, POSITIVE, Tyre
+from mbsgen.model.tyres import LATERAL, LONGITUDINAL, MAGIC, NEEDED, POSITIVE, Tyre
 from mbsgen.model.valuation import Valuation
 
 MOST_POINTS = 100  # of a hull
@@ -327,10 +327,27 @@ def _check_tyre(place: Place, contact: Contact, tyre: Tyre, valuation: Valuation
             yield Finding((*inner, key), f"there is no coefficient {abbreviate(key)}", remedy)
         else:
             valuation.number((*inner, key), number)
+    for way, length in tyre.lengths:
+        yield from _check_positive((*at, "brush", "relaxation", way), length, valuation)
     values = dict(tyre.numbers)
+    yield from _check_transient(at, tyre, values, valuation)
     if missing := [key for key in (*NEEDED, *POSITIVE) if tyre.kind == "magic" and values[key] == ZERO]:
         finding = f"{', '.join(dict.fromkeys(missing))} missing, or 0"
         yield Finding(inner, finding, "give them, or a file: the formulas divide by them")
+
+
+def _check_transient(
+    at: Place, tyre: Tyre, values: Mapping[str, Expression], valuation: Valuation
+) -> Iterator[Finding]:
+    """Find what is wrong with the coefficients by which the slips of a Magic Formula relax."""
+    if not tyre.transient:
+        return
+    if not tyre.relaxed:
+        finding = "no relaxation length: PTX1 and PTY1 are missing, or 0"
+        yield Finding((*at, "transient"), finding, "give them under coefficients, or leave out transient")
+    read = {LONGITUDINAL: ("PTX1", "LSGKP"), LATERAL: ("PTY1", "PTY2", "LSGAL")}
+    for key in (key for way in tyre.relaxed for key in read[way]):
+        yield from _check_positive((*at, "coefficients", key), values[key], valuation)
 
 
 def _check_rigid(place: Place, contact: Contact, valuation: Valuation) -> Iterator[Finding]:

@@ -46,7 +46,7 @@ from mbsgen.model.sections import (
     PlacementSection,
     TripleField,
 )
-from mbsgen.model.tyres import BRUSH, FADING, MAGIC, Tyre
+from mbsgen.model.tyres import BRUSH, FADING, MAGIC, WAYS, Tyre, drop_unread
 
 
 class PresenceSection(Section):
@@ -363,6 +363,13 @@ def _read_tyre_name(value: Any) -> str:
 TyreFileField = Annotated[str, PlainValidator(_read_tyre_name, json_schema_input_type=str)]
 
 
+class LengthsSection(Section):
+    """Relaxation lengths of a tyre; without one, the slip that way acts at once."""
+
+    longitudinal: NumberField | None = Field(None, examples=[0.3], description="m")
+    lateral: NumberField | None = Field(None, examples=[0.5], description="m")
+
+
 class BrushSection(Section):
     """A tyre of bristles on a rigid wheel."""
 
@@ -370,6 +377,7 @@ class BrushSection(Section):
     lateral: NumberField = Field(examples=[8e4], description="the same across; bristles are alike where both are")
     friction: NumberField = Field(examples=[0.9], description="Coulomb's coefficient")
     length: NumberField = Field(ZERO, examples=[0.06], description="half of the contact's, m: moment about z")
+    relaxation: LengthsSection | None = Field(None, examples=[{"lateral": 0.5}], description="slips that are states")
 
 
 class TyreSection(Section):
@@ -382,15 +390,21 @@ class TyreSection(Section):
     brush: BrushSection | None = Field(None, examples=[None], description="in place of a Magic Formula")
     mirrored: bool = Field(False, examples=[False], description="measured for the other side of a car")
     speed: NumberField = Field(FADING, examples=[0.1], description="below which slips fade, m/s")
+    transient: bool = Field(
+        False, examples=[False], description="slips of a Magic Formula are states, which relax by PTX1 to PTY2"
+    )
 
     def make(self, table: TyreFile | None) -> Tyre:
         """Make the part of a Model, with the file that is named."""
         if self.brush is not None:
-            return Tyre("brush", tuple((key, getattr(self.brush, key)) for key in BRUSH), self.speed, self.mirrored)
+            numbers = tuple((key, getattr(self.brush, key)) for key in BRUSH)
+            relaxation = self.brush.relaxation
+            lengths = () if relaxation is None else tuple((x, y) for x in WAYS if (y := getattr(relaxation, x)))
+            return Tyre("brush", numbers, self.speed, self.mirrored, lengths=lengths)
         given = {} if table is None else {key: Number(value) for key, value in table.magic.items()}
-        numbers = {key: None if x is None else Number(x) for key, x in MAGIC.items()} | given | self.coefficients
-        known = tuple((key, x or ZERO) for key, x in numbers.items())  # a check names what is missing
-        return Tyre("magic", known, self.speed, self.mirrored)
+        magic = {key: None if x is None else Number(x) for key, x in MAGIC.items()} | given | self.coefficients
+        known = tuple((key, x or ZERO) for key, x in magic.items())  # a check names what is missing
+        return Tyre("magic", drop_unread(known, self.transient), self.speed, self.mirrored, self.transient)
 
 
 class SphereLawSection(Section):
