@@ -19,7 +19,7 @@ from mbsrun.simulation import Motion, Settings, differentiate, simulate
 from mbsrun.simulation.course import follow
 from mbsrun.simulation.drive import hold
 from mbsrun.simulation.formulation import Formulation
-from tests.mbsgen.model.test_tyres import RADIUS, ROAD, print_formulas
+from tests.mbsgen.model.printed import RADIUS, ROAD, print_formulas
 
 Array = NDArray[np.float64]
 

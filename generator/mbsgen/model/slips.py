@@ -10,7 +10,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from mbsgen.model.model import ONE, UNITS, Body, Contact, Joint, Motion
+from mbsgen.model.model import ONE, UNITS, Body, Contact, Joint
+from mbsgen.model.tree import Motion
 from mbsgen.model.tyres import LONGITUDINAL
 
 
