@@ -9,7 +9,7 @@ static struct {
     mbs_stages_errors errors;
     real least, boundary, dual, step, mu;
     int factorised, searched, soft, restored, corrected, derivatives, hessian, farther, back, after, polished, without;
-    int searches, reports, statuses[3];
+    int searches, reports, barrier, statuses[3];
 } given;
 
 mbs_stages_errors mbs_stages_measure_errors(mbs_stages *s, mbs_stages_phase *p, real mu)
@@ -38,7 +38,8 @@ int mbs_stages_newton_factorise(mbs_stages *s, mbs_stages_phase *p)
 
 void mbs_stages_stationarity(mbs_stages *s, mbs_stages_phase *p, int barrier, real *out)
 {
-    (void)s, (void)p, (void)barrier, (void)out;
+    (void)s, (void)p, (void)out;
+    given.barrier = barrier;
 }
 
 void mbs_stages_newton_solve(mbs_stages *s, mbs_stages_phase *p, const real *c, mbs_stages_direction *d)
@@ -193,6 +194,8 @@ static void lowering(void)
     mbs_stages_phase *p = &phase;
     anew(s, p);
     LAW("errors above thirty times mu keep it", lowered(p, 3.01) == 0.1);
+    LAW("thirty times do not", lowered(p, CONVEX_FACTOR * 10 * p->mu + mbs_stages_rounding(p)) < 0.1);
+    anew(s, p);
     p->rejected = 3, p->filter.count = 7, p->soft = 2;
     LAW("below, mu falls to a fifth", near(lowered(p, 2.99), 0.02));
     LAW("and the filter begins anew", p->filter.count == 0 && p->rejected == 0 && p->soft == 0 && p->tau == 0.99);
@@ -210,6 +213,10 @@ static void lowering(void)
     anew(s, p);
     p->mu = 1e-4;
     LAW("near the end by the power of 3/2", near(lowered(p, 2.9e-3), 1e-6));
+    LAW("where numbers may come nearer to bounds", near(p->tau, 1 - (real)1e-6));
+    anew(s, p);
+    p->mu = 0.0099;
+    LAW("a step that follows lowers mu, once", near(lowered(p, 1e9), real_pow((real)0.0099, 1.5)));
     anew(s, p);
     LAW("to the end at once, where there are no errors", near(lowered(p, 0), 1e-8));
     LAW("which is the least one", lowered(p, 0) == p->mu && lower_barrier(s, p) == 0);
@@ -257,6 +264,15 @@ static void following(void)
     LAW("and no more where it is small", is_followed(s, p));
     p->mu = 0.031, given.errors.scaled = 0;
     LAW("a larger mu is solved for", !is_followed(s, p));
+    p->mu = FOLLOWED_BELOW;
+    LAW("than this one", is_followed(s, p));
+    p->alpha = FOLLOWED_FROM, p->theta = p->theta_before = 0.25, p->c[0] = real_sqrt(real_sqrt(p->mu));
+    given.errors.complementarity = s->options.barrier_tol_factor * p->mu, given.errors.scaled = FOLLOWED_WITHIN * p->mu;
+    LAW("limits themselves are within", is_followed(s, p));
+    p->theta = s->options.tol, p->theta_before = 0;
+    LAW("and the tolerance is", is_followed(s, p));
+    p->mu = FOLLOWED_ANYHOW, given.errors.scaled = 9, p->c[0] = given.errors.complementarity = 0;
+    LAW("from which on other errors do not count", is_followed(s, p) && given.mu == 0);
     p->mu = 0.0099, p->elastic = 1;
     LAW("restoration follows nothing", !is_followed(s, p));
     p->elastic = 0, p->soft = 1;
@@ -277,15 +293,27 @@ static void mending(void)
     LAW("products fall to a limit beside mu", near(p->zl[0], 1e10 * 1e-3 / 0.5));
     LAW("and rise to one", near(p->zu[0], 1e-3 / (1e10 * 1.5)));
     LAW("bounds apart from numbers stay", p->lower[0] == 1 && p->upper[0] == 3 && p->x[0] == 1.5);
-    p->zl[0] = p->zu[0] = 7;
+    p->zl[0] = 1e7, p->zu[0] = 7;
     mbs_stages_mend_bounds(s, p);
-    LAW("usual multipliers stay", p->zl[0] == 7 && p->zu[0] == 7);
-    p->x[0] = 1;
+    LAW("usual multipliers stay", p->zl[0] == 1e7 && p->zu[0] == 7);
+    p->zl[0] = 1e-13;
+    mbs_stages_mend_bounds(s, p);
+    LAW("smaller ones do not", near(p->zl[0], 1e-3 / (1e10 * 0.5)));
+    p->x[0] = 1, p->zl[0] = 0;
     mbs_stages_mend_bounds(s, p);
     LAW("a bound that a number reached moves away", near(p->lower[0], 1 - apart) && p->x[0] == 1);
+    LAW("and the product counts from there", near(p->zl[0], 1e-3 / (1e10 * (1 - p->lower[0]))));
     p->upper[0] = p->x[0] = 4;
     mbs_stages_mend_bounds(s, p);
     LAW("an upper one by its size", near(p->upper[0] - 4, 4 * apart) && p->x[0] == 4);
+    p->upper[0] = 4, p->lower[0] = 0, p->x[0] = MBS_STAGES_EPSILON * p->mu, p->lower[1] = -MBS_STAGES_INFINITE;
+    p->upper[1] = MBS_STAGES_INFINITE;
+    mbs_stages_mend_bounds(s, p);
+    LAW("a number whose distance is rounding reached it", near(p->lower[0], -apart));
+    LAW("bounds without end have no multipliers", p->zl[1] == 0 && p->zu[1] == 0);
+    p->lower[0] = 0, p->x[0] = 2 * MBS_STAGES_EPSILON * p->mu;
+    mbs_stages_mend_bounds(s, p);
+    LAW("a number at more did not", p->lower[0] == 0);
     fixed[0] = 1, p->zl[0] = 1e30;
     mbs_stages_mend_bounds(s, p);
     LAW("fixed ones stay", p->zl[0] == 1e30);
@@ -298,11 +326,20 @@ static void deciding(void)
     anew(s, p);
     p->c[0] = 1, s->left = 0.51;
     LAW("rows that keep half of the violation contradict", contradict(s, p));
-    s->left = 0.49;
-    LAW("less does not", !contradict(s, p));
-    s->left = 0.9e-7, p->c[0] = 1e-7;
+    s->left = 0.5;
+    LAW("half of it does not", !contradict(s, p));
+    s->left = 0.9e-7, p->c[0] = s->options.tol;
     LAW("nor does a violation within the tolerance", !contradict(s, p));
+    s->exact = 5;
     LAW("a step is found", find_step(s, p) == 0 && given.corrected == 1);
+    LAW("of the barrier problem, which is solved anew", given.barrier == 1 && s->exact == 0);
+    p->c[0] = 1, s->left = 0.75;
+    LAW("there is none where rows contradict", find_step(s, p) == -1);
+    p->c[0] = 0, p->size = 1, p->step.x[1] = NAN;
+    LAW("it has the numbers that there are", find_step(s, p) == 0);
+    p->size = 2, p->step.x[1] = 0;
+    given.step = MBS_STAGES_LARGEST;
+    LAW("it may be large", find_step(s, p) == 0);
     given.step = NAN;
     LAW("no number is no step", find_step(s, p) == -1);
     given.step = INFINITY;
@@ -314,7 +351,7 @@ static void deciding(void)
     LAW("a short step shows that it is far", is_far(s, p, 0));
     given.boundary = 1, given.dual = 0.49;
     LAW("of multipliers too", is_far(s, p, 0));
-    given.dual = 0.51, given.boundary = 0.51;
+    given.dual = given.boundary = WARM_STEP;
     LAW("half of a step is long", !is_far(s, p, 0));
     given.restored = 77;
     LAW("without a step there is restoration", leave(s, p) == 77);

@@ -6,13 +6,14 @@
 static struct {
     real boundary, dual, target, solution, least, cost, slope;
     int barrier, fails, mended;
+    const real *listed; /* errors, one after the other, if there are some */
 } given;
 
 int mbs_stages_phase_values(mbs_stages *s, const mbs_stages_phase *p, const real *x, real *cost, real *c)
 {
     (void)s, (void)p, (void)c;
     *cost = given.cost + given.slope * x[0];
-    return 0;
+    return given.fails == 4;
 }
 
 int mbs_stages_phase_derivatives(mbs_stages *s, mbs_stages_phase *p)
@@ -62,7 +63,7 @@ mbs_stages_errors mbs_stages_measure_errors(mbs_stages *s, mbs_stages_phase *p, 
 {
     mbs_stages_errors e = {0, 0, 0, 0};
     (void)s, (void)mu;
-    e.scaled = real_abs(p->x[0] - given.solution);
+    e.scaled = given.listed ? *given.listed++ : real_abs(p->x[0] - given.solution);
     return e;
 }
 
@@ -115,7 +116,7 @@ static void anew(mbs_stages *s, mbs_stages_phase *p)
     p->lower[0] = -1e-8, p->upper[0] = 4 + 4e-8;
     p->x[0] = 2, p->mu = 1e-11, p->tau = 0.99, p->zl[0] = p->zu[0] = 1e-9;
     given.boundary = given.dual = 1, given.target = given.solution = 1, given.barrier = -1;
-    given.least = given.slope = 0, given.cost = 100, given.fails = given.mended = 0;
+    given.least = given.slope = 0, given.cost = 100, given.fails = given.mended = 0, given.listed = 0;
 }
 
 static real away(real a, real b)
@@ -126,6 +127,7 @@ static real away(real a, real b)
 static void measuring(mbs_stages *s, mbs_stages_phase *p)
 {
     anew(s, p);
+    p->zl[1] = p->zu[1] = 5; /* of a number that is not there */
     LAW("bounds that do not bind change nothing", find_share(s, p, 1e-8).all == 0 && find_share(s, p, 1e-8).rise == 0);
     p->x[0] = -4e-9, p->zl[0] = 3;
     LAW("the cost rises by the way back to the caller's bound", away(find_share(s, p, 1e-8).rise, 3 * 4e-9) < 1e-15);
@@ -154,9 +156,19 @@ static void measuring(mbs_stages *s, mbs_stages_phase *p)
     p->cost = 0, s->cost_before = 2.1e-3;
     LAW("a part of the costs before, if they are larger", !is_off(s, p, 1e-8, 0));
     s->options.warm_start_init_point = 0;
+    anew(s, p);
+    p->x[0] = p->lower[0] = -0.5, p->zl[0] = 0.25, p->cost = -0.25;
+    LAW("a cost that is off by as much as may be is not", find_share(s, p, 1).all == 0.25 && !is_off(s, p, 1, 1));
+    p->zl[0] = MBS_STAGES_SIZABLE * 0.5, p->cost = 0.5, s->options.warm_start_init_point = 1;
+    LAW("after a warm start, too", find_share(s, p, 1).all == MBS_STAGES_SIZABLE * 0.5 && !is_off(s, p, 1, 1));
+    p->x[0] = 0, p->zl[0] = 0.5;
+    LAW("a bound at the distance of its multiplier does not bind", find_share(s, p, 1).all == 0);
+    anew(s, p);
     s->options.tol = 1e-8;
     LAW("the barrier falls by the factor", near(lower_barrier(s, 1e-9, 0.1), 1e-10));
     LAW("to the square of the tolerance", near(lower_barrier(s, 1e-9, 1e-6), 1e-16 / MBS_STAGES_WORTH));
+    s->options.tol = 1e-7;
+    LAW("a larger one, too", near(lower_barrier(s, 1e-9, 1e-6), 1e-14 / MBS_STAGES_WORTH));
     s->options.tol = 1e-10;
     LAW("or what digits allow", lower_barrier(s, 1e-9, 1e-6) == MBS_STAGES_LITTLE);
     LAW("and never rises", lower_barrier(s, 1e-13, 0.5) == 1e-13);
@@ -167,6 +179,7 @@ static void comparing(void)
     const share before = {-0.5, 2}, after = {-0.25, 1.5}, larger = {-0.25, 2}, tiny = {0, 1e-14}, none = {0, 0};
     LAW("nearer is what is off by less, and rose as was said", is_nearer(before, after, 7, 6.75));
     LAW("or nearly so", is_nearer(before, after, 7, 6.56) && is_nearer(before, after, 7, 6.94));
+    LAW("by a tenth at most", is_nearer(before, after, 0.05, 0));
     LAW("not what fell by more", !is_nearer(before, after, 7, 6.54));
     LAW("nor by less", !is_nearer(before, after, 7, 6.96));
     LAW("rounding of the cost is nothing", is_nearer(tiny, none, 1e3, 1e3 + 1e-12) && !is_nearer(tiny, none, 1e3, 1e3 + 1e-9));
@@ -200,6 +213,23 @@ static void tightening(mbs_stages *s, mbs_stages_phase *p)
     p->zl[0] = p->mu / (p->x[0] - p->lower[0]), p->zu[0] = p->mu / (p->upper[0] - p->x[0]);
     tighten(s, p, 1e-10, 1e-12);
     LAW("also where its products are mu", p->x[0] == 2);
+    anew(s, p);
+    p->lower[0] = -4 - 4e-8;
+    tighten(s, p, 1e-8, 1e-10);
+    LAW("a bound moves by its size", away(p->lower[0], -4 - 4e-10) < 1e-14);
+    anew(s, p);
+    p->upper[0] = 1e-8, p->x[0] = 0;
+    tighten(s, p, 1e-8, 0);
+    LAW("bounds do not meet", p->lower[0] == -1e-8 && p->upper[0] == 1e-8);
+    fixed[0] = 1, p->upper[0] = 4;
+    tighten(s, p, 1e-8, 1e-10);
+    LAW("those of fixed ones stay", p->lower[0] == -1e-8 && p->upper[0] == 4);
+    p->x[0] = 1, p->lower[0] = 0;
+    tighten_bound(&p->x[0], &p->lower[0], 2, 1, 0.75, 10);
+    LAW("what is nearer than half of its distance goes there", p->lower[0] == 0.75 && p->x[0] == 1.25);
+    p->x[0] = 1, p->lower[0] = 0;
+    tighten_bound(&p->x[0], &p->lower[0], 2, 1, 0.625, 10);
+    LAW("what is farther stays", p->lower[0] == 0.625 && p->x[0] == 1);
 }
 
 /* Beyond its upper bound, with a solution inside. */
@@ -222,6 +252,7 @@ static void sharpening(mbs_stages *s, mbs_stages_phase *p)
     mbs_stages_polish(s, p);
     LAW("a solution goes back to the bounds", p->x[0] == given.solution && p->upper[0] - 4 < 1e-10 && p->cost > 100);
     LAW("in one step, where that is enough", s->result.iterations == 1 && p->mu == MBS_STAGES_LITTLE);
+    LAW("where numbers may come nearer to bounds", p->tau == 1 - MBS_STAGES_LITTLE);
     ending(s, p);
     s->options.tol = 1.01e-8;
     mbs_stages_polish(s, p);
@@ -240,8 +271,28 @@ static void sharpening(mbs_stages *s, mbs_stages_phase *p)
     LAW("bounds that do not give stay", p->x[0] == given.solution && p->lower[0] == 0 && p->upper[0] == 4);
 }
 
+/* What is kept of a point: numbers of variables, and those of rows. */
+static void keeping(mbs_stages *s, mbs_stages_phase *p)
+{
+    real *const variables[] = {p->x, p->zl, p->zu, p->lower, p->upper};
+    int i;
+    anew(s, p);
+    s->rows = 2, p->y[1] = 3, p->c[1] = 4;
+    for (i = 0; i < 5; ++i)
+        variables[i][0] = i + 5, variables[i][1] = 9;
+    keep(s, p, 0);
+    p->y[1] = p->c[1] = 0;
+    for (i = 0; i < 5; ++i)
+        variables[i][0] = variables[i][1] = 0;
+    keep(s, p, 1);
+    for (i = 0; i < 5; ++i)
+        LAW("variables come back, as many as there are", variables[i][0] == i + 5 && variables[i][1] == 0);
+    LAW("and rows", p->y[1] == 3 && p->c[1] == 4);
+}
+
 static void converging(mbs_stages *s, mbs_stages_phase *p)
 {
+    const real errors[] = {1, POLISHING_GAIN, 0};
     anew(s, p);
     given.boundary = 0.95, s->options.tol = 0.01; /* each step leaves a twentieth of the way */
     LAW("steps go on while they help", follow(s, p) == 0 && s->result.iterations == 2);
@@ -251,6 +302,12 @@ static void converging(mbs_stages *s, mbs_stages_phase *p)
     anew(s, p);
     given.boundary = 0.85;
     LAW("not where they help little", follow(s, p) == -1 && s->result.iterations == 2);
+    anew(s, p);
+    given.listed = errors;
+    LAW("or a tenth is left", follow(s, p) == -1 && s->result.iterations == 2);
+    anew(s, p);
+    given.fails = 4;
+    LAW("nor where rows have no values", follow(s, p) == -1 && s->result.iterations == 0);
 }
 
 static void failing(mbs_stages *s, mbs_stages_phase *p)
@@ -260,6 +317,7 @@ static void failing(mbs_stages *s, mbs_stages_phase *p)
     LAW("a step that lowers no error is the last", sharpen(s, p, 1e-8, 1e-10, 1e-2) == -1 && s->result.iterations == 2);
     LAW("where they fail, all is as before", p->x[0] == 4 + 3e-8 && p->zu[0] == 5 && p->zl[0] == 1e-9 && p->y[0] == 7);
     LAW("with bounds, cost, and barrier", p->upper[0] == 4 + 4e-8 && p->lower[0] == -1e-8 && p->cost == 2 && p->mu == 1e-11);
+    LAW("with the part of distances that numbers keep", p->tau == 0.99);
     mbs_stages_polish(s, p);
     LAW("smaller falls are tried, above 1 none", s->result.iterations == 2 + 2 * 3);
     anew(s, p);
@@ -269,6 +327,8 @@ static void failing(mbs_stages *s, mbs_stages_phase *p)
     LAW("no factors, none", make_step(s, p) == -1 && s->result.iterations == 0);
     LAW("and all is as before", p->x[0] == 4 + 3e-8 && p->cost == 2);
     anew(s, p);
+    given.fails = 1;
+    LAW("no curvature, no steps", follow(s, p) == -1 && s->result.iterations == 0);
     given.fails = 3;
     LAW("no derivatives at a point, no steps from there", follow(s, p) == -1 && s->result.iterations == 0);
     anew(s, p);
@@ -284,6 +344,7 @@ int main(void)
     comparing();
     tightening(s, p);
     sharpening(s, p);
+    keeping(s, p);
     converging(s, p);
     failing(s, p);
     return broken > 0;

@@ -8,12 +8,15 @@
 /* Stand-ins: the violation of a trial is a function of x[0] with a step at `wall`, its barrier function another one. */
 static struct {
     real wall, beyond, slope, boundary, dual, descent;
-    int failed;
+    real corrected, gain, right[2]; /* a corrected step; what remains of `beyond` after each; its right-hand side */
+    real inner_gain;                /* the same of corrections of inner variables */
+    int failed, evaluated, corrections, inner, barrier;
 } given;
 
 int mbs_stages_phase_values(mbs_stages *s, const mbs_stages_phase *p, const real *x, real *cost, real *c)
 {
     (void)s, (void)p;
+    ++given.evaluated;
     *cost = given.slope * x[0];
     c[0] = x[0] > given.wall ? given.beyond : 0;
     c[1] = 0;
@@ -58,8 +61,25 @@ real mbs_stages_dual_boundary(const mbs_stages *s, const mbs_stages_phase *p, co
 
 void mbs_stages_newton_solve(mbs_stages *s, mbs_stages_phase *p, const real *c, mbs_stages_direction *d)
 {
-    (void)s, (void)p, (void)c;
-    d->x[0] = 1;
+    (void)s, (void)p;
+    ++given.corrections;
+    given.beyond *= given.gain;
+    memcpy(given.right, c, sizeof given.right);
+    d->x[0] = given.corrected;
+}
+
+/* Stages come in pairs. */
+int mbs_stages_after_group(const mbs_stages_recursion *r, int k)
+{
+    (void)r;
+    return k + 2;
+}
+
+void mbs_stages_solve_inner(const mbs_stages_recursion *r, const mbs_stages_scratch *m, int k, const real *rc)
+{
+    (void)r, (void)m, (void)rc;
+    given.inner = 10 * given.inner + k + 1;
+    given.beyond *= given.inner_gain;
 }
 
 real mbs_stages_descent(const mbs_stages *s, const mbs_stages_phase *p, const real *dx)
@@ -70,7 +90,8 @@ real mbs_stages_descent(const mbs_stages *s, const mbs_stages_phase *p, const re
 
 void mbs_stages_stationarity(mbs_stages *s, mbs_stages_phase *p, int barrier, real *out)
 {
-    (void)s, (void)barrier;
+    (void)s;
+    given.barrier = barrier;
     out[0] = p->x[0];
     out[1] = 0;
 }
@@ -121,7 +142,7 @@ static void anew(mbs_stages *s, mbs_stages_phase *p)
     p->theta = p->c[0] = 1;
     p->theta_most = 1e4, p->theta_least = 1e-4;
     p->tau = 0.99;
-    given.wall = 1e9, given.boundary = given.dual = 1;
+    given.wall = 1e9, given.boundary = given.dual = given.corrected = given.gain = given.inner_gain = 1;
 }
 
 static void measures(void)
@@ -133,6 +154,8 @@ static void measures(void)
     LAW("descent outweighs the violation", is_descent(p, &t, 0.00129) && !is_descent(p, &t, 0.00128));
     t.descent = 0;
     LAW("a level step is no descent", !is_descent(p, &t, 1));
+    t.descent = -2, p->theta = solver.options.s_phi = solver.options.s_theta = 1;
+    LAW("a descent that weighs as much outweighs nothing", !is_descent(p, &t, 0.5) && is_descent(p, &t, 0.501));
     t.descent = -2, t.phi = -1.01e-8;
     LAW("Armijo asks for a part of the slope", holds_armijo(p, &t, 0.5));
     t.phi = -0.99e-8;
@@ -143,6 +166,8 @@ static void measures(void)
     LAW("of any size", !rises_too_much(p, &t));
     p->phi = 0, t.phi = 0.9e6;
     LAW("five orders beside one are allowed", !rises_too_much(p, &t));
+    t.phi = 1e6;
+    LAW("five orders are, exactly", !rises_too_much(p, &t));
     t.phi = 1.1e6;
     LAW("more is not", rises_too_much(p, &t));
     p->phi = -50, t.phi = 4e6;
@@ -172,6 +197,10 @@ static void progress(void)
     LAW("a hardly lower one is none", !is_progress(p, &t));
     t.theta = 0, t.phi = 1.1e6;
     LAW("no violation is worth any rise", !is_progress(p, &t));
+    p->phi = 3, p->theta = t.theta = 0.5, t.phi = 3 - 0.6e-8;
+    LAW("the fall counts, beside the violation", is_progress(p, &t));
+    t.phi = 3 - 0.4e-8;
+    LAW("not a part of it", !is_progress(p, &t));
 }
 
 static void acceptance(void)
@@ -232,7 +261,12 @@ static void bounds(void)
     p->upper[0] = 0.5, p->x[0] = 0.25, given.slope = 3, given.wall = 0.3, given.beyond = 2;
     LAW("a trial is evaluated inside", !try_step(&solver, p, p->step.x, 0.5, &t) && p->trial[0] == 0.375);
     LAW("with its violation and barrier function", t.theta == 2 && t.phi == 3 * 0.375 && p->trial_cost == t.phi);
+    given.beyond = MBS_STAGES_LARGEST;
+    LAW("the largest number is one", !try_step(&solver, p, p->step.x, 0.5, &t) && t.theta == MBS_STAGES_LARGEST);
+    given.beyond = 2, given.slope = MBS_STAGES_LARGEST, p->step.x[0] = 0, p->x[0] = 1;
     fixed[0] = 1;
+    LAW("as a barrier function, too", !try_step(&solver, p, p->step.x, 0.5, &t) && t.phi == MBS_STAGES_LARGEST);
+    p->x[0] = 0.25, p->step.x[0] = 1, given.slope = 3;
     LAW("a fixed one moves freely", !try_step(&solver, p, p->step.x, 0.5, &t) && p->trial[0] == 0.75);
     given.beyond = NAN;
     LAW("no number, no trial", try_step(&solver, p, p->step.x, 0.5, &t) == -1);
@@ -291,6 +325,8 @@ static void counters(void)
     LAW("one step cut short is no reason", p->shortened == 1 && !p->cautious);
     mind_length(p, 0.021);
     LAW("a longer one ends the row", p->shortened == 0);
+    mind_length(p, CUT_LENGTH);
+    LAW("a fiftieth is not cut short", p->shortened == 0);
     mind_length(p, 0.019);
     mind_length(p, 0.019);
     LAW("two in a row ask for curvature of inner variables", p->cautious == 1);
@@ -301,7 +337,9 @@ static void counters(void)
     LAW("steps in the last digits are tiny", is_tiny(&solver, p));
     p->x[0] = 0;
     LAW("beside 1 at least", !is_tiny(&solver, p));
-    p->step.x[0] = 0, p->step.x[1] = 59 * MBS_STAGES_EPSILON, p->c[0] = 0.9e-4;
+    p->step.x[0] = 10 * MBS_STAGES_EPSILON;
+    LAW("ten roundings are tiny", is_tiny(&solver, p));
+    p->step.x[0] = 0, p->step.x[1] = 59 * MBS_STAGES_EPSILON, p->c[0] = (real)1e-4;
     LAW("each beside its own variable", is_tiny(&solver, p));
     p->step.x[1] = -61 * MBS_STAGES_EPSILON;
     LAW("in both directions", !is_tiny(&solver, p));
@@ -317,6 +355,8 @@ static void backtracking(void)
     given.wall = 0.3, given.beyond = 10;
     LAW("steps are halved until one is accepted", backtrack(&solver, p, &t, 0) == 0 && p->x[0] == 0.25);
     LAW("which is a short one", p->watchdog.shortened == 1 && p->alpha == 0.25);
+    LAW("the first trial alone is corrected", given.corrections == 1);
+    LAW("and the filter has refused none", p->rejected == 0);
     anew(&solver, p);
     given.wall = 0.6, given.beyond = 10;
     LAW("the first trial again is half of the longest", backtrack(&solver, p, &t, 1) == 0 && p->x[0] == 0.5);
@@ -327,12 +367,90 @@ static void backtracking(void)
     anew(&solver, p);
     given.beyond = 10;
     LAW("a whole step is no short one", backtrack(&solver, p, &t, 0) == 0 && p->watchdog.shortened == 0);
+    LAW("nor one that the filter refused", p->rejected == 0);
     anew(&solver, p);
     given.wall = 0.6, given.beyond = 1.5;
     mbs_stages_filter_add(&p->filter, 0.1, -1);
     given.slope = -4e-9; /* too little for progress; with room below the filter's pair */
     given.failed = 1;
     LAW("trials without a result are known", backtrack(&solver, p, &t, 0) == -1 && p->failing);
+    anew(&solver, p);
+    given.wall = 0.6, given.beyond = 0.7;
+    mbs_stages_filter_add(&p->filter, 0.5, -1);
+    LAW("a first trial that the filter refuses", backtrack(&solver, p, &t, 0) == 0 && p->x[0] == 0.5 && p->rejected == 1);
+    LAW("and that lowers the violation is not corrected", given.corrections == 0);
+    anew(&solver, p);
+    given.wall = 0.3, solver.options.gamma_theta = solver.options.alpha_min_frac = 0.5, given.beyond = 10;
+    LAW("no step is as short as the shortest", backtrack(&solver, p, &t, 0) == -1 && given.evaluated == 3);
+}
+
+/* Corrections of whole steps that raise the violation. */
+static void correcting(void)
+{
+    mbs_stages_phase *p = &phase;
+    search t = {0, 0, 0, 0};
+    real length = 0;
+    anew(&solver, p);
+    given.wall = 0.6, given.beyond = 1, given.corrected = 0.25;
+    LAW("a step that lowers nothing is corrected", backtrack(&solver, p, &t, 0) == 0 && p->x[0] == 0.25);
+    LAW("which makes no short step", p->watchdog.shortened == 0 && p->step.x[0] == 0.25 && p->other.x[0] == 1);
+    anew(&solver, p);
+    given.wall = 0.6, given.beyond = 10;
+    LAW("where corrections fail,", backtrack(&solver, p, &t, 0) == 0 && p->x[0] == 0.5);
+    LAW("no step is tried twice", given.evaluated == 3);
+    anew(&solver, p);
+    given.wall = -1, given.beyond = 8, given.gain = 0.5, given.boundary = 0.5, p->theta_most = -1;
+    p->c[0] = 3, p->c[1] = 5, p->trial_c[0] = 7, p->trial_c[1] = 11, t.theta = 8, solver.options.max_soc = 1;
+    LAW("one correction, where one is asked for", correct(&solver, p, &t, 0.25, &length) == -1 && given.corrections == 1);
+    LAW("for rows of the trial beside the step's", given.right[0] == 7.75 && given.right[1] == 12.25 && length == 0.5);
+    solver.options.max_soc = 4, given.beyond = 8, t.theta = 8;
+    LAW("and more while each halves the violation", correct(&solver, p, &t, 0.25, &length) == -1 && given.corrections == 5);
+    LAW("with rows of the last beside its own", given.right[0] == 0.5 * (0.5 * (0.5 * 4.75 + 4) + 2) + 1);
+    given.gain = solver.options.kappa_soc, given.beyond = t.theta = 1, solver.options.max_soc = 2;
+    LAW("or lowers it by enough", correct(&solver, p, &t, 0.25, &length) == -1 && given.corrections == 7);
+    given.gain = 1;
+    LAW("not where one does not", correct(&solver, p, &t, 0.25, &length) == -1 && given.corrections == 8);
+}
+
+/* Inner variables of a trial: two of the first stage, one of each other. */
+static void inner(void)
+{
+    static mbs_stages_stage stages[4];
+    static real constants[3][2] = {{0.5, 0.25}, {2, 100}, {3, 100}}, x[9], trial[9], lower[9], upper[9];
+    static char none_fixed[9];
+    const int at[] = {0, 4, 6};
+    mbs_stages_phase *p = &phase;
+    mbs_stages_problem problem;
+    search t = {0, 0, 0, 0};
+    int i;
+    anew(&solver, p);
+    memset(&problem, 0, sizeof problem);
+    solver.problem = &problem, problem.stages = 3, solver.recursion.stage = stages;
+    for (i = 0; i < 3; ++i)
+        stages[i].w = at[i], stages[i].nx = 1, stages[i].inner.n = i ? 1 : 2, stages[i].inner.constant = constants[i];
+    for (i = 0; i < 9; ++i)
+        trial[i] = 10 * i, lower[i] = -1e20, upper[i] = 1e20;
+    p->lower = lower, p->upper = upper, p->trial = trial, solver.fixed = none_fixed;
+    correct_inner(&solver, p);
+    LAW("groups are solved once", given.inner == 13);
+    LAW("all inner variables move", trial[1] == 10.5 && trial[2] == 20.25 && trial[5] == 52 && trial[7] == 73);
+    LAW("and no others", trial[0] == 0 && trial[3] == 30 && trial[4] == 40 && trial[6] == 60 && trial[8] == 80);
+    given.inner = 0, problem.stages = 2;
+    correct_inner(&solver, p);
+    LAW("of the stages that there are", given.inner == 1);
+    p->x = x, solver.options.follow = 1, p->theta_most = -1;
+    trial[0] = 1, given.wall = 0.6, given.beyond = t.theta = 8, given.evaluated = 0;
+    problem.stages = 1, given.inner_gain = 0.5;
+    LAW("a trial follows eight times", follow(&solver, p, &t, 1) == -1 && given.evaluated == 8);
+    given.inner_gain = FOLLOWING_GAIN, given.beyond = t.theta = 1, given.evaluated = 0;
+    LAW("while that lowers the violation by enough", follow(&solver, p, &t, 1) == -1 && given.evaluated == 8);
+    given.inner_gain = (real)0.995, given.beyond = t.theta = 1, given.evaluated = 0;
+    LAW("and not by less", follow(&solver, p, &t, 1) == -1 && given.evaluated == 1);
+    solver.rows = 1, p->size = 1, p->theta_most = 1e4;
+    given.inner_gain = 0.1, given.beyond = 2, p->step.x[0] = 1;
+    LAW("a whole step follows at once", backtrack(&solver, p, &t, 0) == 0 && p->x[0] == 1 && p->alpha == 1);
+    LAW("where its correction fails", given.corrections == 1 && p->watchdog.shortened == 0);
+    problem.stages = 0;
 }
 
 static void watching(void)
@@ -357,6 +475,7 @@ static void watching(void)
         LAW("three steps pass", !mbs_stages_search(&solver, p) && p->watchdog.active && p->x[0] == 2 + i);
     LAW("then the search goes back, to half of the step", !mbs_stages_search(&solver, p) && p->x[0] == 0.5);
     LAW("and the watchdog rests", !p->watchdog.active && p->watchdog.shortened == 1);
+    LAW("no step is corrected on the way", given.corrections == 0);
     LAW("multipliers began at the point, too", near(p->zl[0], 3) && near(p->y[0], 3.5));
     anew(&solver, p);
     given.wall = 0.6, given.beyond = 10;
@@ -374,6 +493,14 @@ static void watching(void)
     anew(&solver, p);
     p->step.x[0] = 1e-16, p->c[0] = 1e-5;
     LAW("else a tiny step is taken", !mbs_stages_search(&solver, p) && p->tiny && !p->tiny_before && p->alpha == 1);
+    given.failed = 1;
+    LAW("unless it has no result", mbs_stages_search(&solver, p) != 0);
+    anew(&solver, p);
+    LAW("a search begins with the whole step", !mbs_stages_search(&solver, p) && p->x[0] == 1);
+    anew(&solver, p);
+    p->soft = 1, p->theta = 0, p->phi = -1, given.slope = -1, given.wall = -1, given.beyond = 1e-9;
+    p->x[0] = 1, p->step.x[0] = -0.5, p->c[0] = 0;
+    LAW("after a soft step comes a soft one", !mbs_stages_search(&solver, p) && p->soft == 2 && p->x[0] == 0.5);
 }
 
 static void softly(void)
@@ -382,9 +509,29 @@ static void softly(void)
     anew(&solver, p);
     p->x[0] = 2, p->zl[0] = 3, p->zu[0] = 0.5, p->lower[0] = 0.5, p->upper[0] = 10, p->mu = 1;
     p->c[0] = 0.25, p->c[1] = -0.25;
+    p->lower[1] = -MBS_STAGES_INFINITE, p->upper[1] = MBS_STAGES_INFINITE;
     LAW("errors are means", near(mean_errors(&solver, p), 2.0 / 2 + 0.5 / 2 + (3.5 + 3.0) / 2));
+    LAW("of stationarity without the barrier", given.barrier == 0);
     fixed[0] = 1;
     LAW("fixed ones have no products", near(mean_errors(&solver, p), 2.0 / 2 + 0.5 / 2));
+    solver.rows = 0;
+    LAW("without rows there is none of theirs", near(mean_errors(&solver, p), 2.0 / 2));
+    solver.rows = 1, p->size = 0;
+    LAW("nor one of variables without these", near(mean_errors(&solver, p), 0.25));
+    p->y[1] = 0, p->step.y[1] = 9;
+    move_multipliers(&solver, p, 1);
+    LAW("multipliers of the rows that there are move", p->y[0] == 7 && p->y[1] == 0);
+    anew(&solver, p);
+    solver.options.soft_resto_pderror_reduction_factor = 1, p->step.x[0] = 0, given.wall = -1, given.beyond = 1;
+    memset(p->step.zl, 0, sizeof room[0]), memset(p->step.zu, 0, sizeof room[0]);
+    try_step(&solver, p, p->step.x, 1, &(search){0, 0, 0, 0});
+    LAW("errors may fall by as little as is asked for", lowers_errors(&solver, p, 1) == 1);
+    anew(&solver, p);
+    p->x[0] = 1, p->step.x[0] = -0.5, p->theta = p->c[0] = 0.5, p->phi = -1, given.slope = -1;
+    given.wall = -1, given.beyond = 0.6;
+    LAW("a first soft step is made", !mbs_stages_search_softly(&solver, p) && p->filter.count == 1);
+    LAW("and keeps its point with its margins", near(p->filter.theta[0], (1 - 1e-5) * 0.5));
+    LAW("of both", p->filter.phi[0] < -1 && fabs(p->filter.phi[0] + 1 + 0.5e-8) < 1e-14);
     anew(&solver, p);
     p->x[0] = 1, p->step.x[0] = -0.5, given.boundary = 0.8, given.dual = 0.5, p->theta = 0, p->c[0] = 0;
     p->phi = -1, given.slope = -1, given.wall = -1, given.beyond = 1e-9; /* violation and barrier function rise: no acceptance */
@@ -424,6 +571,8 @@ int main(void)
     taking();
     counters();
     backtracking();
+    correcting();
+    inner();
     watching();
     softly();
     return broken > 0;
