@@ -5,6 +5,7 @@
 /* Stand-ins: a step of Newton's method goes to a target; an iterate is a solution at another number, or at the same. */
 static struct {
     real boundary, dual, target, solution, least, cost, slope;
+    real part; /* of the lower bound: the target and the solution, if it is not 0 */
     int barrier, fails, mended;
     const real *listed; /* errors, one after the other, if there are some */
 } given;
@@ -43,7 +44,7 @@ void mbs_stages_stationarity(mbs_stages *s, mbs_stages_phase *p, int barrier, re
 void mbs_stages_newton_solve(mbs_stages *s, mbs_stages_phase *p, const real *c, mbs_stages_direction *d)
 {
     (void)s, (void)c;
-    d->x[0] = given.target - p->x[0];
+    d->x[0] = (given.part > 0 ? given.part * p->lower[0] : given.target) - p->x[0];
     d->y[0] = 8, d->zl[0] = 4, d->zu[0] = 2;
 }
 
@@ -63,7 +64,7 @@ mbs_stages_errors mbs_stages_measure_errors(mbs_stages *s, mbs_stages_phase *p, 
 {
     mbs_stages_errors e = {0, 0, 0, 0};
     (void)s, (void)mu;
-    e.scaled = given.listed ? *given.listed++ : real_abs(p->x[0] - given.solution);
+    e.scaled = given.listed ? *given.listed++ : real_abs(p->x[0] - (given.part > 0 ? given.part * p->lower[0] : given.solution));
     return e;
 }
 
@@ -116,7 +117,7 @@ static void anew(mbs_stages *s, mbs_stages_phase *p)
     p->lower[0] = -1e-8, p->upper[0] = 4 + 4e-8;
     p->x[0] = 2, p->mu = 1e-11, p->tau = 0.99, p->zl[0] = p->zu[0] = 1e-9;
     given.boundary = given.dual = 1, given.target = given.solution = 1, given.barrier = -1;
-    given.least = given.slope = 0, given.cost = 100, given.fails = given.mended = 0, given.listed = 0;
+    given.least = given.slope = 0, given.cost = 100, given.fails = given.mended = 0, given.part = 0, given.listed = 0;
 }
 
 static real away(real a, real b)
@@ -320,6 +321,11 @@ static void failing(mbs_stages *s, mbs_stages_phase *p)
     LAW("with the part of distances that numbers keep", p->tau == 0.99);
     mbs_stages_polish(s, p);
     LAW("smaller falls are tried, above 1 none", s->result.iterations == 2 + 2 * 3);
+    anew(s, p);
+    s->giving = 1, p->lower[0] = -1, p->x[0] = -0.5, p->zl[0] = given.slope = 500, given.dual = 0;
+    given.part = 0.5, given.cost = 0, p->cost = -250;
+    mbs_stages_polish(s, p);
+    LAW("six tries at most: four that help, and two that do not", s->result.iterations == 6 && s->giving == MBS_STAGES_APART);
     anew(s, p);
     p->cost = 2, p->x[0] = 4 + 3e-8, p->zu[0] = 5, given.fails = 1;
     LAW("no derivatives, no step", make_step(s, p) == -1 && sharpen(s, p, 1e-8, 1e-10, 1e-2) == -1);
