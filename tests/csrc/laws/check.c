@@ -358,13 +358,20 @@ static void names(void)
 
 static void patterns(void)
 {
-    static const double M[] = {1, 2, 3, 4}, D[] = {5, 6};
+    static const double M[] = {1, 2, 3, 4}, D[] = {5, 6}, numbers[] = {1, 2, 3, 4, 5, 6};
+    static const casadi_int wide[] = {2, 3, 0, 1, 1, 2, 1, 0}, full[] = {2, 3, 1};
     int i, j;
     LAW("nonzeros are counted", count_nonzeros(two) == 2 && count_nonzeros(square) == 4 && count_nonzeros(nothing) == 0);
     for (i = 0; i < 2; ++i)
         for (j = 0; j < 2; ++j) {
             LAW("entries of a matrix", find_entry(square, M, i, j) == M[2 * j + i]);
             LAW("zeros that are left out", find_entry(diagonal, D, i, j) == (i == j ? D[i] : 0));
+        }
+    LAW("of a matrix that is wider than high", find_place(wide, 0) == 1 && find_place(wide, 1) == 4);
+    for (i = 0; i < 2; ++i)
+        for (j = 0; j < 3; ++j) {
+            LAW("entries, column by column", find_entry(full, numbers, i, j) == numbers[2 * j + i]);
+            LAW("zeros beside entries", find_entry(wide, D, i, j) == (2 * j + i == 1 ? 5 : 2 * j + i == 4 ? 6 : 0));
         }
     LAW("places, column by column", find_place(diagonal, 1) == 3 && find_place(corner, 0) == 2 && find_place(three, 2) == 2);
 }
