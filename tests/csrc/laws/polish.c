@@ -224,7 +224,7 @@ static void tightening(mbs_stages *s, mbs_stages_phase *p)
     LAW("bounds do not meet", p->lower[0] == -1e-8 && p->upper[0] == 1e-8);
     fixed[0] = 1, p->upper[0] = 4;
     tighten(s, p, 1e-8, 1e-10);
-    LAW("those of fixed ones stay", p->lower[0] == -1e-8 && p->upper[0] == 4);
+    LAW("bounds of fixed ones stay", p->lower[0] == -1e-8 && p->upper[0] == 4);
     p->x[0] = 1, p->lower[0] = 0;
     tighten_bound(&p->x[0], &p->lower[0], 2, 1, 0.75, 10);
     LAW("what is nearer than half of its distance goes there", p->lower[0] == 0.75 && p->x[0] == 1.25);
