@@ -27,7 +27,7 @@ static int say(const char *format, ...)
 static struct {
     const char *kernel;
     int result, entry, call, status, calls;
-    double error, steep, missed, unit; /* the unit of frames and sensors */
+    double error, steep, missed, unit, large; /* the unit of numbers; what the first results of f are multiplied by */
 } fault;
 
 static int end(const char *kernel, double **res)
@@ -159,9 +159,9 @@ KERNEL(f)
 {
     const double *q = arg[0], *qd = arg[1];
     (void)iw, (void)w, (void)mem;
-    res[0][0] = sin(q[0]) * qd[1] * arg[2][0];
-    res[0][1] = q[1] * q[1] * q[1] + fault.missed * qd[0];
-    res[1][0] = q[0] * qd[1] - q[1] + (fault.steep > 0 ? tanh(fault.steep * q[0]) : 0);
+    res[0][0] = fault.unit * fault.large * sin(q[0]) * qd[1] * arg[2][0];
+    res[0][1] = fault.unit * (q[1] * q[1] * q[1] + fault.missed * qd[0]);
+    res[1][0] = fault.unit * (q[0] * qd[1] - q[1] + (fault.steep > 0 ? tanh(fault.steep * q[0]) : 0));
     return end("f", res);
 }
 static const char *const f_names[] = {"q", "qd", "theta"};
@@ -172,8 +172,10 @@ KERNEL(jac)
 {
     const double *q = arg[0], *qd = arg[1], t = tanh(fault.steep * q[0]);
     (void)iw, (void)w, (void)mem;
-    res[0][0] = cos(q[0]) * qd[1] * arg[2][0], res[0][1] = 3 * q[1] * q[1], res[1][0] = sin(q[0]) * arg[2][0];
-    res[3][0] = qd[1] + fault.steep * (1 - t * t), res[3][1] = -1, res[4][0] = q[0];
+    res[0][0] = fault.large * cos(q[0]) * qd[1] * arg[2][0], res[0][1] = 3 * q[1] * q[1];
+    res[1][0] = fault.large * sin(q[0]) * arg[2][0], res[3][0] = qd[1] + fault.steep * (1 - t * t), res[3][1] = -1, res[4][0] = q[0];
+    res[0][0] *= fault.unit, res[0][1] *= fault.unit, res[1][0] *= fault.unit;
+    res[3][0] *= fault.unit, res[3][1] *= fault.unit, res[4][0] *= fault.unit;
     return end("jac", res);
 }
 static const casadi_int *const jac_out[] = {diagonal, corner, no_rows, row, second, nothing};
@@ -187,6 +189,7 @@ KERNEL(adj)
     (void)iw, (void)w, (void)mem;
     res[0][0] = cos(q[0]) * qd[1] * theta * r[0] + qd[1] * e[0], res[0][1] = 3 * q[1] * q[1] * r[1] - e[0];
     res[1][0] = sin(q[0]) * theta * r[0] + q[0] * e[0];
+    res[0][0] *= fault.unit, res[0][1] *= fault.unit, res[1][0] *= fault.unit;
     return end("adj", res);
 }
 static const char *const adj_names[] = {"q", "qd", "theta", "out_r", "out_e", "adj_r", "adj_e"};
@@ -235,7 +238,7 @@ static int compare(int which)
 static void anew(void)
 {
     memset(&fault, 0, sizeof fault);
-    fault.unit = 1;
+    fault.unit = fault.large = 1;
 }
 
 /* Numbers of the first state, as the 50-digit evaluation has them. */
@@ -243,6 +246,7 @@ static void refer(void)
 {
     double q[2], qd[2], u[1], *results[2] = {reference, reference + 2}, *found[1] = {accelerations};
     const double *of_f[3] = {q, qd, mbs_check_theta}, *given[3] = {q, qd, u};
+    anew();
     draw(q, 2, "q", 0), draw(qd, 2, "qd", 0), draw(u, 1, "u", 0);
     f(of_f, results, 0, 0, 0);
     forward(given, found, 0, 0, 0);
@@ -305,8 +309,34 @@ static void jacobians(void)
     for (fault.steep = 1; fault.steep < 1e4; fault.steep *= 3)
         LAW("of any steepness", compare(0) == 0);
     anew();
+    fault.unit = 1e-9, fault.kernel = "jac", fault.call = -1, fault.error = 1e-14;
+    LAW("small derivatives are compared by their size", compare(0) == 1);
+    fault.error = 1e-20;
+    LAW("where rounding passes", compare(0) == 0);
+    fault.kernel = "adj", fault.error = 1e-18;
+    LAW("adjoint ones, too", compare(1) == 1);
+    fault.error = 1e-24;
+    LAW("and theirs", compare(1) == 0);
+    anew();
+    fault.kernel = "jac", fault.result = 3, fault.call = -1, fault.error = 5e-8;
+    LAW("an error of a small result counts", compare(0) == 1);
+    fault.large = 1e7;
+    LAW("not where it is rounding of the largest", compare(0) == 0);
+    anew();
     fault.kernel = "f", fault.status = 7, fault.call = -1;
     LAW("differences that fail are a fault", compare(0) == 1 && strstr(said, "status 7"));
+}
+
+static void reporting(void)
+{
+    verdict v = {1, 0};
+    said[0] = 0;
+    LAW("what is allowed passes", report(v, 1e-3, "f", "beside", "g") == 0);
+    v.worst = 0.5, said[0] = 0;
+    LAW("differences are said", !report(v, 1e-3, "f", "beside", "g") && !strcmp(said, "ok     f beside g: differ by 5.0e-04, 1.0e-03 allowed\n"));
+    anew();
+    fault.unit = 0;
+    LAW("zeros agree", compare(2) == 0 && strstr(said, "differ by 0.0e+00,"));
 }
 
 /* Numbers of states: as the generator's, and numbers that the program sets. */
@@ -380,6 +410,6 @@ int main(void)
 {
     static const double theta[3] = {0.75, 9, 9};
     mbs_check_theta = theta;
-    refer(), agreeing(), jacobians(), drawing(), names(), patterns();
+    refer(), agreeing(), jacobians(), reporting(), drawing(), names(), patterns();
     return broken > 0;
 }
