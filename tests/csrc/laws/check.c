@@ -3,6 +3,7 @@
  * Kernels of two bodies by hand; a result of one of them can be wrong, in one call or in all. */
 #include <stdarg.h>
 #include <stdio.h>
+#include <stdlib.h>
 #include <string.h>
 
 static char said[512];
@@ -129,7 +130,7 @@ KERNEL(frames)
     return end("frames", res);
 }
 static const char *const frames_names[] = {"q", "p"};
-static const casadi_int *const frames_in[] = {two, one}, *const frames_out[] = {three};
+static const casadi_int *const frames_in[] = {two, one}, *const frames_out[] = {three, one};
 FACE(frames, 2, 1)
 
 KERNEL(sensors)
@@ -138,7 +139,7 @@ KERNEL(sensors)
     res[0][0] = fault.unit * cos(arg[0][0]), res[0][1] = fault.unit * (arg[0][1] + arg[1][0]);
     return end("sensors", res);
 }
-static const casadi_int *const sensors_out[] = {two};
+static const casadi_int *const sensors_out[] = {two, three};
 #define sensors_names frames_names
 #define sensors_in frames_in
 FACE(sensors, 2, 1)
@@ -193,7 +194,7 @@ KERNEL(adj)
     return end("adj", res);
 }
 static const char *const adj_names[] = {"q", "qd", "theta", "out_r", "out_e", "adj_r", "adj_e"};
-static const casadi_int *const adj_in[] = {two, two, three, two, one, two, one}, *const adj_out[] = {two, last, none};
+static const casadi_int *const adj_in[] = {two, two, three, none, none, two, one}, *const adj_out[] = {two, last, none};
 FACE(adj, 7, 3)
 
 /* The comparisons: which kernel may be wrong, where, and by how much it may be. */
@@ -252,6 +253,13 @@ static void refer(void)
     forward(given, found, 0, 0, 0);
 }
 
+/* The number that is said after a text. */
+static double find_number(const char *text)
+{
+    const char *at = strstr(said, text);
+    return at ? strtod(at + strlen(text), NULL) : NAN;
+}
+
 static void agreeing(void)
 {
     size_t i;
@@ -260,6 +268,7 @@ static void agreeing(void)
         const comparison *c = &list[i];
         anew();
         LAW("kernels that agree pass", compare((int)i) == 0);
+        LAW("by less than what is allowed", find_number("differ by ") < 0.5 * find_number(", "));
         LAW("and that is said", !strncmp(said, "ok     ", 7) && strstr(said, c->names[0]) && strstr(said, "allowed\n"));
         for (k = 0; k < c->entries; ++k) {
             anew();
@@ -296,6 +305,8 @@ static void jacobians(void)
 {
     int k;
     anew();
+    LAW("differences are right to more than is asked for",
+        compare(0) == 0 && find_number("differ by ") < 1e-2 * DIFFERENCES);
     fault.missed = 1e-6;
     LAW("an entry that the pattern leaves out counts", compare(0) == 1);
     anew();
@@ -332,7 +343,9 @@ static void reporting(void)
     verdict v = {1, 0};
     said[0] = 0;
     LAW("what is allowed passes", report(v, 1e-3, "f", "beside", "g") == 0);
-    v.worst = 0.5, said[0] = 0;
+    v.failed = 7;
+    LAW("no kernel that failed passes", passes((verdict){1, 0}) && !passes(v) && !passes((verdict){1.5, 0}));
+    v.worst = 0.5, v.failed = said[0] = 0;
     LAW("differences are said", !report(v, 1e-3, "f", "beside", "g") && !strcmp(said, "ok     f beside g: differ by 5.0e-04, 1.0e-03 allowed\n"));
     anew();
     fault.unit = 0;

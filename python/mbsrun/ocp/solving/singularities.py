@@ -10,12 +10,13 @@ Solvers use the derivatives by the variables of a program; by the time and by co
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from mbsgen.expressions import Call, Expression, Operation, Power, evaluate, list_operands, names, parse, write
+from mbsgen.expressions import Algebra, Call, Expression, Operation, Power, evaluate, list_operands, names, parse, write
 from mbsrun.jets import Jet, make_jets, vary
 from mbsrun.ocp.evaluation.values import Values
 from mbsrun.ocp.ground.functions import Array
@@ -162,7 +163,7 @@ def find_singularity(problem: Problem, plant: Plant, motion: Trajectory) -> Sing
 
 def _find_singular_part(stated: Stated, jets: Mapping[str, Jet], times: Array) -> Singularity | None:
     """Find the first part of an expression without a finite value or derivative."""
-    algebra = make_jets(max(len(next(iter(jets.values())).H[0]), 1))
+    algebra = _keep_constants(make_jets(max(len(next(iter(jets.values())).H[0]), 1)))
     for part in _list_parts(parse(stated.text)):
         with np.errstate(all="ignore"):
             jet = evaluate(part, jets, algebra)
@@ -170,6 +171,23 @@ def _find_singular_part(stated: Stated, jets: Mapping[str, Jet], times: Array) -
         if wrong is not None:
             return Singularity(stated, write(part), f"has no finite {kind}", _advise(part), float(times[wrong]))
     return None
+
+
+def _keep_constants(algebra: Algebra[Jet]) -> Algebra[Jet]:
+    """Make an algebra whose functions of constants are constants, where their derivatives are infinite too."""
+
+    def keep(apply: Callable[..., Jet]) -> Callable[..., Jet]:
+        def apply_to(*operands: Any) -> Jet:
+            jet = apply(*operands)
+            slopes = [operand.g for operand in operands if isinstance(operand, Jet)]
+            is_constant = not any(g.any() for g in slopes)
+            return Jet(jet.f, np.zeros_like(jet.g), np.zeros_like(jet.H)) if is_constant else jet
+
+        return apply_to
+
+    operations = {sign: keep(apply) for sign, apply in algebra.operations.items()}
+    functions = {name: keep(apply) for name, apply in algebra.functions.items()}
+    return replace(algebra, operations=operations, power=keep(algebra.power), functions=functions)
 
 
 def find_in_links(problem: PhasedProblem, plants: Plants, motions: Sequence[Trajectory], title: str) -> Cause | None:
