@@ -243,11 +243,11 @@ static void anew(void)
 }
 
 /* Numbers of the first state, as the 50-digit evaluation has them. */
-static void refer(void)
+static void refer(double unit, double large)
 {
     double q[2], qd[2], u[1], *results[2] = {reference, reference + 2}, *found[1] = {accelerations};
     const double *of_f[3] = {q, qd, mbs_check_theta}, *given[3] = {q, qd, u};
-    anew();
+    anew(), fault.unit = unit, fault.large = large;
     draw(q, 2, "q", 0), draw(qd, 2, "qd", 0), draw(u, 1, "u", 0);
     f(of_f, results, 0, 0, 0);
     forward(given, found, 0, 0, 0);
@@ -338,6 +338,19 @@ static void jacobians(void)
     LAW("differences that fail are a fault", compare(0) == 1 && strstr(said, "status 7"));
 }
 
+/* Results beside numbers of 50 digits count by the largest of these. */
+static void referring(void)
+{
+    refer(1, 1e7);
+    fault.kernel = "f", fault.result = 1, fault.call = -1, fault.error = 1e-8;
+    LAW("rounding of the largest passes in all", compare(7) == 0);
+    refer(1e-9, 1);
+    LAW("small numbers pass", compare(7) == 0);
+    fault.kernel = "f", fault.result = 0, fault.call = -1, fault.error = 1e-18;
+    LAW("and are compared by their size", compare(7) == 1);
+    refer(1, 1);
+}
+
 static void reporting(void)
 {
     verdict v = {1, 0};
@@ -423,6 +436,6 @@ int main(void)
 {
     static const double theta[3] = {0.75, 9, 9};
     mbs_check_theta = theta;
-    refer(), agreeing(), jacobians(), reporting(), drawing(), names(), patterns();
+    refer(1, 1), agreeing(), jacobians(), referring(), reporting(), drawing(), names(), patterns();
     return broken > 0;
 }
