@@ -351,6 +351,26 @@ static void referring(void)
     refer(1, 1);
 }
 
+/* Rounding moves the results of sensors by R (q0 sin q0 + q1 + p), in sizes; numbers that are given are not moved. */
+static void spreading(void)
+{
+    const double p[1] = {0.5};
+    int given;
+    anew();
+    for (given = 0; given < 2; ++given) {
+        call at = open_call(&sensors_face), moved = open_call(&sensors_face);
+        verdict v = {0, 0};
+        double wanted;
+        mbs_check_p = given ? p : 0;
+        set_state(at, 2), set_state(moved, 2), run(at, &v);
+        wanted = fabs(at.in[0][0] * sin(at.in[0][0])) + fabs(at.in[0][1]) + (given ? 0 : fabs(at.in[1][0]));
+        LAW("all inputs that are drawn spread results", fabs(find_spread(at, moved, &v) / ROUNDING / wanted - 1) < 2e-2);
+        LAW("and come back", !memcmp(at.in[0], moved.in[0], 2 * sizeof(double)) && at.in[1][0] == moved.in[1][0]);
+        close_call(at), close_call(moved);
+    }
+    mbs_check_p = 0;
+}
+
 static void reporting(void)
 {
     verdict v = {1, 0};
@@ -436,6 +456,6 @@ int main(void)
 {
     static const double theta[3] = {0.75, 9, 9};
     mbs_check_theta = theta;
-    refer(1, 1), agreeing(), jacobians(), referring(), reporting(), drawing(), names(), patterns();
+    refer(1, 1), agreeing(), jacobians(), referring(), spreading(), reporting(), drawing(), names(), patterns();
     return broken > 0;
 }
