@@ -28,7 +28,7 @@ static int say(const char *format, ...)
 static struct {
     const char *kernel;
     int result, entry, call, status, calls;
-    double error, steep, missed, unit, large; /* the unit of numbers; what the first results of f are multiplied by */
+    double error, steep, missed, unit, large, wild; /* the unit of numbers; what the first results of f, and accelerations, are multiplied by */
 } fault;
 
 static int end(const char *kernel, double **res)
@@ -60,12 +60,12 @@ static const casadi_int second[] = {1, 2, 0, 0, 1, 0}, last[] = {2, 1, 0, 1, 1},
 
 static double mass(const double *q, int i, int j)
 {
-    return i == 0 && j == 0 ? 3 + cos(q[1]) : i == j ? 1.5 : cos(q[1]) / 2;
+    return fault.unit * (i == 0 && j == 0 ? 3 + cos(q[1]) : i == j ? 1.5 : cos(q[1]) / 2);
 }
 
 static double bias(const double *q, const double *qd, int i)
 {
-    return i ? sin(q[1]) * qd[0] * qd[0] + 0.3 * q[1] : -sin(q[1]) * qd[0] * qd[1] + 2 * q[0];
+    return fault.unit * (i ? sin(q[1]) * qd[0] * qd[0] + 0.3 * q[1] : -sin(q[1]) * qd[0] * qd[1] + 2 * q[0]);
 }
 
 /* M qdd + c - (u, 0) */
@@ -78,7 +78,7 @@ KERNEL(impl)
     return end("impl", res);
 }
 static const char *const impl_names[] = {"q", "qd", "qdd", "u"};
-static const casadi_int *const impl_in[] = {two, two, two, one}, *const impl_out[] = {two};
+static const casadi_int *const impl_in[] = {two, two, two, one}, *const impl_out[] = {two, three};
 FACE(impl, 4, 1)
 
 KERNEL(semi)
@@ -100,7 +100,8 @@ static void accelerate(const double **arg, double **res)
     const double a = mass(arg[0], 0, 0), b = mass(arg[0], 0, 1), c = mass(arg[0], 1, 1);
     const double x = arg[2][0] - bias(arg[0], arg[1], 0), y = -bias(arg[0], arg[1], 1);
     res[0][0] = (c * x - b * y) / (a * c - b * b);
-    res[0][1] = (a * y - b * x) / (a * c - b * b);
+    res[0][0] *= fault.large;
+    res[0][1] = fault.large * (a * y - b * x) / (a * c - b * b) + fault.wild * sin(1e9 * arg[0][0]);
 }
 KERNEL(forward)
 {
@@ -109,7 +110,7 @@ KERNEL(forward)
     return end("forward", res);
 }
 static const char *const forward_names[] = {"q", "qd", "u"};
-static const casadi_int *const forward_in[] = {two, two, one}, *const forward_out[] = {two};
+static const casadi_int *const forward_in[] = {two, two, one}, *const forward_out[] = {two, three};
 FACE(forward, 3, 1)
 
 KERNEL(other)
@@ -371,6 +372,25 @@ static void spreading(void)
     mbs_check_p = 0;
 }
 
+/* Equations of motion of large numbers, and of small accelerations; and accelerations that rounding of a pose decides. */
+static void dynamics(void)
+{
+    int i;
+    for (i = 4; i < 7; ++i) {
+        anew();
+        fault.unit = 1e9, fault.kernel = i == 6 ? "forward" : "semi", fault.result = i == 5, fault.call = -1;
+        fault.error = i == 6 ? 1e-9 : 1e-5;
+        LAW("large numbers are compared by their size", compare(i) == 0);
+    }
+    anew();
+    fault.large = 1e-6, fault.kernel = "other", fault.call = -1, fault.error = 1e-10;
+    LAW("small ones, too", compare(9) == 1);
+    fault.large = fault.wild = 1, fault.error = 1e-6;
+    LAW("where rounding of the pose decides, more is allowed", compare(9) == 0);
+    fault.error = 1e-2;
+    LAW("but not all", compare(9) == 1);
+}
+
 static void reporting(void)
 {
     verdict v = {1, 0};
@@ -456,6 +476,6 @@ int main(void)
 {
     static const double theta[3] = {0.75, 9, 9};
     mbs_check_theta = theta;
-    refer(1, 1), agreeing(), jacobians(), referring(), spreading(), reporting(), drawing(), names(), patterns();
+    refer(1, 1), agreeing(), jacobians(), referring(), spreading(), dynamics(), reporting(), drawing(), names(), patterns();
     return broken > 0;
 }

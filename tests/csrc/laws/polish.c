@@ -272,7 +272,7 @@ static void sharpening(mbs_stages *s, mbs_stages_phase *p)
     LAW("bounds that do not give stay", p->x[0] == given.solution && p->lower[0] == 0 && p->upper[0] == 4);
 }
 
-/* What is kept of a point: numbers of variables, and those of rows. */
+/* Numbers of variables and of rows are kept. */
 static void keeping(mbs_stages *s, mbs_stages_phase *p)
 {
     real *const variables[] = {p->x, p->zl, p->zu, p->lower, p->upper};

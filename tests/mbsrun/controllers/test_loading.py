@@ -1,4 +1,4 @@
-"""What a controller's header declares, as Python reads it: by small headers, and by the solver's."""
+"""Declarations of a controller's header, as Python reads them: of small headers, and of the solver's."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is watched between the points of a grid, and starts that violate a path: without a mechanism, by hand."""
+"""Ranges watched between the points of a grid, and starts that violate a path: by hand, without a mechanism."""
 
 from __future__ import annotations
 
