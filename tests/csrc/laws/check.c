@@ -382,6 +382,14 @@ static void dynamics(void)
         fault.error = i == 6 ? 1e-9 : 1e-5;
         LAW("large numbers are compared by their size", compare(i) == 0);
     }
+    for (i = 0; i < 2; ++i) {
+        anew();
+        fault.kernel = "impl", fault.entry = i, fault.error = 1e-3;
+        LAW("each equation counts", compare(4) == 1);
+        fault.calls = 0;
+        LAW("of the bias too", compare(5) == 1);
+        LAW("and of accelerations", compare(6) == 1);
+    }
     anew();
     fault.large = 1e-6, fault.kernel = "other", fault.call = -1, fault.error = 1e-10;
     LAW("small ones, too", compare(9) == 1);
