@@ -38,6 +38,25 @@ static casadi_real close_off(casadi_real part, casadi_real way, casadi_real a, c
     return fabs(qd[0] + 2 * qd[1]);
 }
 
+/* A correction of the second of three joints, 2 x = -6, leaves the others where they are. */
+static void correct_alone(void)
+{
+    casadi_real B[1] = {2}, volume, x[6] = {7, 7, 7, 7, 7, 7}, g[2] = {0, 0}, gap[1] = {6};
+    casadi_int depends[1] = {1}, row[1];
+    mbs_call none;
+    mbs_explicit plant;
+    mbs_manner manner;
+    mbs_run r;
+    memset(&plant, 0, sizeof plant), memset(&manner, 0, sizeof manner), memset(&r, 0, sizeof r);
+    memset(&none, 0, sizeof none);
+    plant.n = plant.nq = 3, plant.e = 1, manner.keeping = MBS_PARTITIONING;
+    r.p = &plant, r.how = &manner, r.B = B, r.row = row, r.depends = depends, r.x = x, r.g = g;
+    mbs_lu_factorise(1, B, row, &volume);
+    correct(&r, gap);
+    LAW("dependent joints alone are corrected", x[0] == 0 && x[1] == -3 && x[2] == 0);
+    LAW("a kernel that is not there computes nothing", call(none) == 0);
+}
+
 /* The largest entry is 5, of the second equation and joint; without that joint, the first equation moves the third by 3. */
 static void choose_joints(void)
 {
@@ -676,6 +695,7 @@ int main(void)
     bounces();
     series();
     choose_joints();
+    correct_alone();
     LAW("one step is enough with the J of the place", close_off(0, 0, 5, 3) < 1e-14 && calls == 1);
     LAW("with another one, steps go on until they are rounding", close_off(1e-3, 1e-3, 5, 3) < 1e-14 && calls > 3);
     LAW("beside the velocities, which may be large", close_off(1e-3, 1e-3, 5e6, 3e6) < 1e-7 && calls > 3);
