@@ -297,6 +297,10 @@ static void guards(void)
     LAW("a guard of 0 holds", !is_below(2, values));
     values[1] = -1e-300;
     LAW("one below does not", is_below(2, values) && !is_below(1, values));
+    q2[0] = 8, level[0] = 7, side[0] = -1, r.lowest = -1, r.fraction = 0.25;
+    LAW("a stage is watched", watch(&r, 1) == 0 && r.lowest == -1 && r.fraction == 0.25);
+    q2[0] = 9;
+    LAW("and noted where a guard is lower", watch(&r, 1) == 0 && r.lowest == -2 && r.fraction == manner.c[1]);
     LAW("there are guards", has_guards(&r));
     modes.guards = 0;
     LAW("or none", !has_guards(&r));
