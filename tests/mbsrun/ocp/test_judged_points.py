@@ -107,6 +107,10 @@ def test_multipliers_that_prove_enough_end_the_judgement(monkeypatch: pytest.Mon
     monkeypatch.setattr(optimality, "_solve", lambda _: called.append("solve") or 0.25)
     assert bound(point, 1e-9, np.array([-2.0])) == (0.0, False)
     assert called == []
+    assert bound(point, point.reach) == (point.reach, False)  # as much as is allowed is enough
+    assert called == []
+    assert bound(point, 0.5, np.array([np.nan])) == (0.5, False)
+    assert called.pop() == "improve"
     assert bound(point, 0.6, np.array([np.nan])) == (0.5, False)
     assert called == ["improve"]
     assert bound(point, 1e-3) == (0.25, True)
