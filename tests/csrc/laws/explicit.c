@@ -258,6 +258,15 @@ static void first_steps(void)
                     fabs(h / find_first(starts[i], stiff[j], (casadi_real)manner.order) - 1) < 1e-6);
             }
     anew(0);
+    manner.order = 1, manner.atol = 1e-6, manner.rtol = 1e-4, push[0] = 1e9; /* of a coordinate of 0 with a speed of 1e4 */
+    {
+        const casadi_real x[4] = {0, 0, 1e4, 0};
+        mbs_run r = open_here();
+        casadi_real h;
+        evaluate(&r, 0, 0, x);
+        LAW("the first coordinate's second derivative counts", begin(&r, 0, x, &h) == 0 && fabs(h / 2e-17 - 1) < 1e-3);
+    }
+    anew(0);
     failing = 1;
     {
         mbs_run r = open_here();
@@ -479,7 +488,9 @@ static void impacts(void)
     LAW("or beside 1", bounce(&r, y, after, 1) == 0);
     y[1] = 0.0099;
     LAW("at least", bounce(&r, y, after, 1) == MBS_EVENT);
-    kind[1] = MBS_SPEED;
+    modes.touch = 0.25, y[1] = 0.25;
+    LAW("at that distance, too", bounce(&r, y, after, 1) == MBS_EVENT);
+    modes.touch = 1e-2, y[1] = 0.0099, kind[1] = MBS_SPEED;
     LAW("other guards touch nothing", bounce(&r, y, after, 1) == 0);
     r = fall_on_stop(y);
     fired[1] = 1;
@@ -574,6 +585,11 @@ static void adaptive(void)
     prepare_steps(0), h = 1, b4[0] = 1, b4[1] = 0;
     go(100, &h, 3);
     LAW("and not again where they are known", outcome.evaluations == 4);
+    prepare_steps(0), h = 1, b4[0] = 1, b4[1] = 0, push[0] = 2, push[1] = 3, manner.atol = 1e9;
+    go(100, &h, 2); /* by the last stage, which is the end of Euler's step */
+    h = times[2] - times[1];
+    LAW("which are the ones at the end", alike(states[8], 2 * h * times[1]) && alike(states[9], 3 * h * times[1]));
+    LAW("of velocities, too", alike(states[10], 2 * times[2]) && alike(states[11], 3 * times[2]));
     prepare_steps(0), h = 1;
     go(1.02, &h, 4);
     LAW("the last two steps have one length", outcome.steps == 2 && alike(times[1], 0.51));
