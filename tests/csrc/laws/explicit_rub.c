@@ -57,7 +57,7 @@ KERNEL(find_reactions)
     return ++reactions == failing ? 9 : 0;
 }
 
-/* Frames are those of the base, except that the bearing of joint 1 counts by half of its force. */
+/* All frames have the axes of the base, and the bearing of joint 1 counts by half of its force. */
 static mbs_run open_here(void)
 {
     static const casadi_int turns[6] = {0, 7, 14, 3, 10, 17};
