@@ -74,7 +74,7 @@ MBSGEN = Package(
         "equations.printing",
         "equations",
         "arrows",
-        "report drawing appearance output renumbering scaling oracle interpreted closed_comparison formulas",
+        "picture report drawing appearance output renumbering scaling oracle interpreted closed_comparison formulas",
         "comparison opensim_script",
         "osim_comparison",
         "subjects.osim subjects.posing subjects.segments subjects.settings",

@@ -4,7 +4,7 @@
 //   const model = await loadModel(data);
 //   model.set("coordinate", [0.1, 0.2]);          // one array for each role, which all functions read
 //   const { M, c } = model.call("semi");          // results by name, full matrices column by column
-//   model.step("exp2", 0.001);                    // the classical Runge-Kutta method, on coordinates and velocities
+//   model.step("exp2", 0.001);                    // the classical Runge-Kutta method, or one of given coefficients
 //   model.move(0, 0.3);                           // one coordinate, with the loops closed
 //
 // Numbers lie in the module's own memory, behind everything that it uses itself. Results are those of the C in double
@@ -148,22 +148,28 @@ async function loadModel(data) {
     return [qt, read(functions[form].results[0])];
   }
 
-  function step(form, h) { // returns whether it could be made; else the state stays
-    const q = view("coordinate"), v = view("velocity"), q0 = q.slice(), v0 = v.slice();
-    const move = (length, rates) => {
-      for (let i = 0; i < q.length; i++) q[i] = q0[i] + length * rates[0][i];
-      for (let i = 0; i < v.length; i++) v[i] = v0[i] + length * rates[1][i];
+  const CLASSICAL = { A: [[], [0.5], [0, 0.5], [0, 0, 1]], b: [1 / 6, 1 / 3, 1 / 3, 1 / 6] };
+
+  function step(form, h, { A, b } = CLASSICAL) { // returns whether it could be made; else the state stays
+    const q = view("coordinate"), v = view("velocity"), q0 = q.slice(), v0 = v.slice(), rates = [];
+    const move = (row) => { // to the start of the step, and on by rates that were computed
+      q.set(q0);
+      v.set(v0);
+      rates.forEach(([qt, a], k) => {
+        const length = h * (row[k] || 0);
+        if (!length) return;
+        for (let i = 0; i < q.length; i++) q[i] += length * qt[i];
+        for (let i = 0; i < v.length; i++) v[i] += length * a[i];
+      });
     };
     const stay = () => { q.set(q0); v.set(v0); return false; };
-    const mean = [new Float64Array(q.length), new Float64Array(v.length)];
-    let rates = mean;
-    for (const [place, weight] of [[0, 1 / 6], [0.5, 1 / 3], [0.5, 1 / 3], [1, 1 / 6]]) {
-      move(h * place, rates);
-      rates = slope(form);
-      if (!rates) return stay();
-      rates.forEach((part, k) => part.forEach((x, i) => { mean[k][i] += weight * x; }));
+    for (const row of A) {
+      move(row);
+      const found = slope(form);
+      if (!found) return stay();
+      rates.push(found);
     }
-    move(h, mean);
+    move(b);
     if (loops.length && !project()) return stay();
     return [...q, ...v].every(Number.isFinite) || stay();
   }

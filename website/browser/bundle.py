@@ -16,8 +16,10 @@ import subprocess
 import sys
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 from mbsgen import browser, resources
+from mbsrun.simulation.integration.tableaus import DOP853, EULER, RK4, RK45
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
@@ -38,6 +40,8 @@ PLATFORM = (
 LEFT_OUT = ("tests", "__pycache__", "benchmarks", "*.so", "*.pyi")
 UNUSED = ("physics", "stats", "vector", "codegen", "categories", "diffgeom", "holonomic", "crypto", "v1")  # of packages
 SCRIPTS = ("renderer.js", "kernels.js", "playground.js")
+OWN = ("index.html", "page.js", "worker.js", "front.js", "front-worker.js", "chart.js")
+METHODS = (("euler", 1, EULER), ("rk4", 4, RK4), ("rk45", 5, RK45), ("dop853", 8, DOP853))  # with orders
 LINK = f"""
 ## Without an installation
 
@@ -56,18 +60,30 @@ def write(out: Path, work: Path, swing_up: Path | None = None) -> None:
 
     swing_up: a page of `mbsrun playground` with a controller, which a button shows.
     """
+    work = work.resolve()  # programs run there
     out.mkdir(parents=True, exist_ok=True)
     pyodide = _fetch_pyodide(work)
     _copy(pyodide, out / "pyodide", FILES)
     shutil.copy(_compile(pyodide, work), out / "tool.zip")
-    _copy(HERE, out, ("index.html", "page.js", "worker.js"))
+    _copy(HERE, out, OWN)
     _copy(resources.folder("templates") / "html", out, ("kernels.js",))
     (out / "mechanism.html").write_text(fill_scripts(), encoding="utf-8")
+    (out / "methods.json").write_text(json.dumps(list_methods()), encoding="utf-8")
     text = (ROOT / "models" / f"{FIRST}.yaml").read_text(encoding="utf-8")
     if swing_up is not None:
         shutil.copy(swing_up, out / "swing_up.html")
     first = {"text": text, "swings": swing_up is not None, **json.loads(browser.answer(text))}
     (out / "first.json").write_text(json.dumps(first), encoding="utf-8")
+
+
+def list_methods() -> list[dict[str, Any]]:
+    """List the coefficients of methods of fixed steps, without stages that serve estimates of errors alone."""
+    found = []
+    for name, order, pair in METHODS:
+        A, b = pair.tableau.A, pair.tableau.b
+        stages = max(k for k, weight in enumerate(b, 1) if weight)
+        found.append({"name": name, "order": order, "A": A[:stages], "b": b[:stages]})
+    return found
 
 
 def link(page: Path) -> None:

@@ -1,17 +1,21 @@
 // The page that generates in a browser: an editor on the left, what `mbsrun playground` shows on the right.
 // The first mechanism was made when the site was built; a worker loads Python meanwhile. Names are only set as text.
 const byId = (id) => document.getElementById(id);
-const [THINNEST, LARGEST] = [0.03, 0.5]; // of an edge of a solid, relative to the size of the mechanism
+const [THINNEST, LARGEST, BALL, DRUM] = [0.024, 0.5, 0.12, [0.034, 0.034, 0.05]]; // relative to the size of the mechanism
+const ASKED = 1e-6; // the accuracy of the advice
+const TITLES = { impl: "forces of a motion, by recursion", semi: "mass matrix and bias",
+  exp1: "accelerations, by elimination in M", exp2: "accelerations, by articulated bodies" };
 const template = fetch("mechanism.html").then((found) => found.text());
+const methods = fetch("methods.json").then((found) => found.json());
 const worker = new Worker("worker.js", { type: "module" });
-let asked = 0, answered = 0;
+let asked = 0, answered = 0, isHere = false, waiting = null, measuring = null, measured = null; // fronts: see measure
 
 function say(text, bad = false) {
   byId("state").textContent = text;
   byId("state").classList.toggle("bad", bad);
 }
 
-async function measure(machine, picture) { // the bounds of the frames over poses of the coordinates' ranges
+async function bound(machine, picture) { // the bounds of the frames over poses of the coordinates' ranges
   const model = await loadModel(machine), low = [0, 0, 0], high = [0, 0, 0];
   for (let k = 0; k < 60; k++) {
     const q = machine.start.map((x, i) => {
@@ -34,13 +38,19 @@ async function measure(machine, picture) { // the bounds of the frames over pose
 }
 
 async function arrange(machine, picture) { // what renderer.js draws
-  const { low, high } = await measure(machine, picture);
+  const { low, high } = await bound(machine, picture);
   const size = Math.hypot(...high.map((x, c) => x - low[c])) / 2 || 1;
   for (let c = 0; c < 3; c++) {
     const missing = Math.max(0.1 * size - (high[c] - low[c]), 0) / 2;
     [low[c], high[c]] = [low[c] - missing, high[c] + missing];
   }
   const limit = (x) => Math.min(Math.max(x, THINNEST * size), LARGEST * size);
+  const resize = (solid) => {
+    if (solid.ball) return solid.size.map((share) => BALL * size * share);
+    if (solid.layer === "joints") return DRUM.map((share) => size * share);
+    if (solid.layer === "contacts") return solid.size.map((x) => Math.max(x, 0.018 * size));
+    return solid.layer === "solids" ? solid.size.map(limit) : solid.size;
+  };
   const floor = picture.up.reduce((sum, x, c) => sum + Math.min(x * low[c], x * high[c]), 0);
   return {
     up: picture.up,
@@ -53,13 +63,13 @@ async function arrange(machine, picture) { // what renderer.js draws
       name: machine.name,
       color: "#5d6b7a",
       frames: [...picture.frames],
-      solids: picture.solids.map((solid) => ({ ...solid, size: solid.size.map(limit) })),
-      lines: [],
+      solids: picture.solids.map((solid) => ({ ...solid, size: resize(solid) })),
+      lines: picture.lines,
     }],
   };
 }
 
-async function show({ machine, picture, report, equations, remarks = [] }) {
+async function show({ machine, picture, costs, report, equations, remarks = [] }) {
   const content = { machine, controllers: [], scene: await arrange(machine, picture), added: picture.ends };
   const safe = JSON.stringify(content).replace(/[<>&\u2028\u2029]/g, (c) => `\\u${c.charCodeAt(0).toString(16).padStart(4, "0")}`);
   const page = (await template).split("@CONTENT@");
@@ -67,7 +77,67 @@ async function show({ machine, picture, report, equations, remarks = [] }) {
   byId("equations").srcdoc = equations;
   byId("report").textContent = report;
   byId("remarks").textContent = remarks.join("\n");
+  compare(machine, costs);
 }
+
+// --- the table and the front -----------------------------------------------------------------------------------------
+
+function list(costs, rates = {}) { // the formulations, with flops and times
+  const rows = [["", "", "flops", "equations", "time here"]];
+  for (const { name, flops, equations } of costs) {
+    rows.push([name.toUpperCase(), TITLES[name], flops, equations, rates[name] ? writeTime(rates[name]) : "–"]);
+  }
+  byId("costs").replaceChildren(...rows.map((cells, r) => {
+    const row = document.createElement("tr");
+    row.append(...cells.map((text) => Object.assign(document.createElement(r ? "td" : "th"), { textContent: text })));
+    return row;
+  }));
+}
+
+function compare(machine, costs) { // measures once Python is here, since a measurement needs a quiet machine
+  if (measuring) measuring.terminate();
+  measuring = measured = null;
+  waiting = { machine, costs };
+  list(costs);
+  byId("front-part").hidden = false;
+  byId("finding").textContent = isHere ? "It is being measured …" : "It is measured once Python is here.";
+  byId("choice").textContent = "";
+  byId("chart").replaceChildren();
+  byId("chart").removeAttribute("height");
+  delete document.documentElement.dataset.measured;
+  if (isHere) measure();
+}
+
+async function measure() {
+  if (!waiting) return;
+  const { machine, costs } = waiting, own = new Worker("front-worker.js");
+  waiting = null;
+  measuring = own;
+  own.onmessage = ({ data }) => {
+    own.terminate();
+    if (measuring !== own) return;
+    measuring = null;
+    if (data.failure) byId("finding").textContent = `Nothing was measured: ${data.failure}`;
+    else {
+      list(costs, data.rates);
+      measured = data;
+      draw();
+    }
+    document.documentElement.dataset.measured = machine.name;
+  };
+  own.postMessage({ machine, methods: await methods });
+}
+
+function draw() {
+  if (!measured) return;
+  const { dots, floor } = measured, choice = findChoice(dots, ASKED);
+  byId("finding").textContent = stateFinding(dots, floor);
+  byId("choice").textContent = choice
+    ? `◉ For errors up to ${writeError(ASKED)}: ${choice.line}, ${choice.setting}, ${writeTime(choice.work)}.`
+    : `No measured setting has errors up to ${writeError(ASKED)}.`;
+  drawFront(byId("chart"), measured, ASKED, byId("chart").clientWidth || 360);
+}
+addEventListener("resize", draw);
 
 byId("mechanism").addEventListener("load", () => { // begin to move, at a push
   const inner = byId("mechanism").contentDocument, isChanged = Boolean(byId("mechanism").srcdoc);
@@ -87,6 +157,8 @@ worker.onmessage = async ({ data }) => {
     document.documentElement.dataset.python = "ready";
     byId("apply").disabled = false;
     say("Python is here. Change the model, and generate.");
+    isHere = true;
+    measure();
     return;
   }
   answered = data.number;
@@ -114,6 +186,7 @@ byId("swing").addEventListener("click", () => {
   byId("mechanism").removeAttribute("srcdoc");
   byId("mechanism").src = "swing_up.html";
   byId("equations").srcdoc = byId("report").textContent = "";
+  byId("front-part").hidden = true;
   say("The solver runs in this page: it plans the swing-up of a cart-pole, and plans anew in each period.");
 });
 
