@@ -152,13 +152,13 @@ def _find_version(checkout: Path) -> str:
 def write_page(rows: Sequence[Row], checkouts: Mapping[str, Path], load: float) -> str:
     """Write a page in Markdown."""
     is_pair = len(checkouts) > 1
-    titles = ("", "before [s]", "now [s]", "now / before") if is_pair else ("", "now [s]")
+    titles = ("", "before [s]", "now [s]", "times faster") if is_pair else ("", "now [s]")
 
     def write_cells(row: Row) -> list[str]:
         if not is_pair:
             return [row.name, f"{row.shortest('now'):.2f}"]
         before, now = row.shortest("before"), row.shortest("now")
-        return [row.name, f"{before:.2f}", f"{now:.2f}", f"{now / before:.2f}"]
+        return [row.name, f"{before:.2f}", f"{now:.2f}", f"{before / now:.2f}"]
 
     rounds = max(len(row.seconds["now"]) for row in rows)
     versions = " and ".join(map(_find_version, checkouts.values()))

@@ -29,5 +29,5 @@ def test_tasks_run_in_turn_and_the_shortest_counts(tmp_path: Path) -> None:
     assert np.isfinite(row.shortest("now"))
     assert row.shortest("now") > 0
     page = write_page([Row("a", {"before": [4.0, 3.0], "now": [1.5, 2.0]})], {"before": ROOT, "now": ROOT}, 0.0)
-    assert "| a | 3.00 | 1.50 | 0.50 |" in page
+    assert "| a | 3.00 | 1.50 | 2.00 |" in page
     assert sys.executable not in page

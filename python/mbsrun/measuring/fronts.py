@@ -229,13 +229,13 @@ def _locate(stretch: Stretch, stretches: Sequence[Stretch]) -> str:
 
 
 def state_savings(dots: Sequence[Dot], whole: float, asked: float | None = None) -> str:
-    """Name the reductions that save the most: one without an error, and one with an error up to `asked` or a tenth."""
+    """Name the fastest reductions: one without an error, and one with an error up to `asked` or a tenth."""
     limit = 0.1 if asked is None else asked
     useful = [dot for dot in dots if dot.is_good and dot.place[0] * ALIKE < whole]
     exact = min((d for d in useful if d.place[1] < EXACT), key=lambda d: d.place[0], default=None)
     rough = min((d for d in useful if d.place[1] <= limit), key=lambda d: d.place[0], default=None)
     if rough is None:
-        none = f"no reduction with errors up to {write_error(limit)} saves a tenth of the time"
+        none = f"no reduction with errors up to {write_error(limit)} is {ALIKE:g} times faster"
         best = min(useful, key=lambda d: d.place[1], default=None)
         return f"N{none[1:]}." if best is None else f"N{none[1:]}; {_write_saving(best, whole)}."
     first = _write_saving(rough if exact is None else exact, whole)
@@ -246,7 +246,7 @@ def state_savings(dots: Sequence[Dot], whole: float, asked: float | None = None)
 def _write_saving(dot: Dot, whole: float) -> str:
     work, error = dot.place
     price = "without an error" if error < EXACT else f"with errors of {write_error(error)}"
-    return f"{dot.line} saves {1 - work / whole:.0%} of the time {price}"
+    return f"{dot.line} is {_write_short(whole / work)} times faster, {price}"
 
 
 def write_error(error: float) -> str:

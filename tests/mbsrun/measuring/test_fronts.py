@@ -52,13 +52,12 @@ def test_savings_name_what_a_reader_acts_on() -> None:
     dots = (dot("sensor hand alone", 100.0, 0.0), dot("locking q5", 71.0, 0.04), dot("no gravity", 60.0, 0.9))
     nothing = Panel("", dots, "", "", "ns", 1e-6, None, whole=100.0)
     assert nothing.headline == (
-        "No reduction with errors up to 1e-6 saves a tenth of the time; locking q5 saves 29% of the time with errors "
-        "of 0.04."
+        "No reduction with errors up to 1e-6 is 1.1 times faster; locking q5 is 1.4 times faster, with errors of 0.04."
     )
     assert nothing.choose_lines() == ["no gravity", "locking q5"]
     rough = Panel("", (*dots, dot("no forces", 80.0, 1e-16)), "", "", "ns", 0.1, None, whole=100.0)
     assert rough.headline == (
-        "No forces saves 20% of the time without an error; locking q5 saves 29% of the time with errors of 0.04."
+        "No forces is 1.2 times faster, without an error; locking q5 is 1.4 times faster, with errors of 0.04."
     )
 
 
