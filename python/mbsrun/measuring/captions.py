@@ -122,7 +122,8 @@ OUTLINES: Mapping[str, Outline] = {
                     "fidelity.png",
                     "Fidelity: time of a call against the error of a reduction",
                     "A row for each kernel. Left: states that agree with the reduction; right: any state. Reductions "
-                    "that make a call at least 1.1 times faster have names. The dashed line is the time of the whole model. "
+                    "that make a call at least 1.1 times faster have names. The dashed line is the time of the whole "
+                    "model. "
                     f"{MARKS}",
                 ),
                 Caption("fidelity.json", "Reductions", f"ns whole: time of the whole model. {TIMES}"),
