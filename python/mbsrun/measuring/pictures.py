@@ -231,10 +231,11 @@ def _draw_axes(axes: Axes, panel: Panel, prefix: str) -> None:
     if panel.choice is not None:
         axes.plot(*place(panel.choice), "o", markersize=RING, markerfacecolor="none", markeredgecolor=INK, zorder=4)
         taken.append(_box(axes, place(panel.choice), RING / 2))
-    taken += [*broken, *_write_quiet(axes, panel, taken)]
+    quiet = _write_quiet(axes, panel, taken)
+    taken += [*broken, *quiet]
     wanted = panel.choose_lines()
     colors = {name: PALETTE[k] for k, name in enumerate(name for name in lines if name in wanted)}
-    named = _place_names(axes, {name: lines[name] for name in wanted}, colors, np.array(taken))
+    named = _place_names(axes, {name: lines[name] for name in wanted}, colors, np.array(taken), quiet)
     numbers = {id(dot): k for k, dot in enumerate(panel.dots)}
     for name, line in lines.items():
         color, order = (colors[name], 2) if name in named else (FAINT, 1)
@@ -365,25 +366,32 @@ def _cover(axes: Axes, line: Sequence[tuple[float, float]], dots: Iterable[tuple
 
 
 def _place_names(
-    axes: Axes, lines: Mapping[str, list[tuple[float, float]]], colors: Mapping[str, str], taken: Boxes
+    axes: Axes,
+    lines: Mapping[str, list[tuple[float, float]]],
+    colors: Mapping[str, str],
+    taken: Boxes,
+    texts: Sequence[Covered],
 ) -> set[str]:
-    """Write the name of each line beside its end; a thin line leads to one further off.
+    """Write the name of each line beside its end; a thin line, which crosses no text, leads to one further off.
 
     Return the names that found a place where they cover nothing.
     """
-    named = set()
+    named, written = set(), [np.array(text) for text in texts]
     for name, line in lines.items():
         ends = [axes.transData.transform(place) for place in dict.fromkeys((line[-1], line[0]))]
         text = "\n".join(wrap(name, axes.bbox.width / 72 / 2.2))
         size = np.array([max(map(measure, text.split("\n"))) + 1, ROW * (text.count("\n") + 1)])
-        room = _find_room(ends, size, taken, axes)
+        room = _find_room(ends, size, taken, written, axes)
         if room is None:
             continue
         box, end, distance = room
         taken = np.vstack((taken, [box]))
+        written.append(box)
         named.add(name)
         if distance >= LEADER:
-            _draw_leader(axes, end, np.clip(end, box[:2], box[2:]), colors[name])
+            near = np.clip(end, box[:2], box[2:])
+            _draw_leader(axes, end, near, colors[name])
+            taken = np.vstack((taken, [*_cover_leader(end, near)]))
         axes.annotate(
             plain(text),
             ((box[0] + box[2]) / 2, (box[1] + box[3]) / 2),
@@ -397,14 +405,26 @@ def _place_names(
     return named
 
 
+def _cover_leader(end: Array, near: Array) -> Iterator[Covered]:
+    """Yield the boxes that a leader covers."""
+    for share in np.linspace(0, 1, 2 + int(np.hypot(*(near - end)) / 2)):
+        x, y = end + share * (near - end)
+        yield x - 1, y - 1, x + 1, y + 1
+
+
 def _draw_leader(axes: Axes, end: Array, near: Array, color: str) -> None:
     style = {"arrowstyle": "-", "color": color, "linewidth": 0.6, "shrinkA": 2, "shrinkB": 1}
     places = (float(near[0]), float(near[1])), (float(end[0]), float(end[1]))
     axes.annotate("", *places, xycoords="figure points", textcoords="figure points", arrowprops=style)
 
 
-def _find_room(ends: Sequence[Array], size: Array, taken: Boxes, axes: Axes) -> tuple[Array, Array, float] | None:
-    """Return the nearest box of a size that covers nothing, the end of the line it belongs to, and its distance."""
+def _find_room(
+    ends: Sequence[Array], size: Array, taken: Boxes, names: Sequence[Array], axes: Axes
+) -> tuple[Array, Array, float] | None:
+    """Return the nearest box of a size that covers nothing, the end of the line it belongs to, and its distance.
+
+    A leader to it crosses none of the names.
+    """
     frame = axes.bbox
     lower, upper = np.array([frame.x0 + 2, frame.y0 + 2]), np.array([frame.x1, frame.y1])
     for distance in RINGS:
@@ -412,7 +432,10 @@ def _find_room(ends: Sequence[Array], size: Array, taken: Boxes, axes: Axes) -> 
             for way in WAYS:
                 centre = end + way * (distance + MARK / 2) + np.sign(np.round(way, 3)) * size / 2
                 box = np.concatenate((centre - size / 2, centre + size / 2))
-                if (box[:2] >= lower).all() and (box[2:] <= upper).all() and not _count_covered(box, taken):
+                if (box[:2] < lower).any() or (box[2:] > upper).any() or _count_covered(box, taken):
+                    continue
+                leader = _cover_leader(end, np.clip(end, box[:2], box[2:])) if distance >= LEADER else ()
+                if not any(_count_covered(np.array(part), np.array(names)) for part in leader):
                     return box, end, distance
     return None
 

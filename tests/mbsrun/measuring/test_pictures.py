@@ -37,7 +37,7 @@ def draw(seed: int) -> Panel:
 @pytest.mark.parametrize("size", [PAGE, PHONE], ids=["page", "phone"])
 @pytest.mark.parametrize("seed", range(4))
 def test_names_cover_nothing(seed: int, size: tuple[float, int]) -> None:
-    """Most of seven names find a place; no text covers a dot, or another text, or leaves the picture."""
+    """Most of seven names find a place; no text covers a dot, another text or a leader, or leaves the picture."""
     figure = lay_out("chart", [draw(seed), draw(seed + 10)], *size)
     figure.draw_without_rendering()
     whole = figure.bbox
@@ -48,6 +48,11 @@ def test_names_cover_nothing(seed: int, size: tuple[float, int]) -> None:
         boxes = [name.get_window_extent() for name in names]
         dots = [axes.transData.transform(x.get_xydata())[0] for x in axes.lines if x.get_marker() == "o"]
         half = MARK / 2 - 0.5
+        leaders = [x.arrow_patch for x in axes.texts if isinstance(x, Annotation) and x.arrow_patch is not None]
+        for leader in leaders:
+            path = leader.get_path().interpolated(60).vertices  # in points of the figure, as it is laid out
+            hit = [box for box in boxes if ((path > box.min + 0.1) & (path < box.max - 0.1)).all(axis=1).sum() > 4]
+            assert not hit
         for k, box in enumerate(boxes):
             assert not any(box.overlaps(other) for other in [*boxes[:k], *texts])
             assert whole.x0 <= box.x0 < box.x1 <= whole.x1
