@@ -216,7 +216,7 @@ forces:
 
 @pytest.mark.parametrize("name", ["double_pendulum", "satellite", "legged/bounder", "shapes"])
 def test_the_picture_is_the_one_of_animations(name: str, tmp_path: Path) -> None:
-    """Solids are those of `mbsrun animate`, with the sizes that are limited there; drums of joints have none."""
+    """Solids equal the solids of `mbsrun animate`, with the sizes that are limited there; drums of joints have none."""
     path = tmp_path / "model.yaml"
     path.write_text(SHAPES if name == "shapes" else (ROOT / "models" / f"{name}.yaml").read_text(encoding="utf-8"))
     kernels = mbsrun.load(path)

@@ -86,7 +86,7 @@ def _tint(i: int) -> str:
 
 
 def _draw(drawing: Drawing, color: str) -> Iterator[Solid]:
-    """Draw a shape of a body; the sizes are those of `Drawing`."""
+    """Draw a shape of a body, with the sizes of `Drawing`."""
     frame, at, axes, size = drawing.frame, drawing.at, drawing.axes, drawing.size
     match drawing.shape:
         case "box" | "ellipsoid":
