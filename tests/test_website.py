@@ -17,6 +17,7 @@ from click.testing import CliRunner
 import mbsrun
 from website import notebooks, reference
 from website.__main__ import main
+from website.browser import bundle
 from website.examples import EXAMPLES
 from website.gallery import ExampleError, run
 from website.pages import CHART, FILM, PHONE, Staging, list_examples, write_front
@@ -145,6 +146,10 @@ def test_the_front_page_shows_film_chart_and_figures(tmp_path: Path) -> None:
     assert "\nCARDS\n" in front
     assert re.search(r"\n- \*\*[\d.]+ times faster\*\* than .*\.\n", front)
     assert "([figures]" not in front
+    (tmp_path / "playground.md").touch()
+    bundle.link(tmp_path)
+    for name in ("index.md", "playground.md"):
+        assert f"]({bundle.FOLDER}/index.html)" in (tmp_path / name).read_text(encoding="utf-8")
 
 
 def test_an_example_that_fails_stops_the_build(tmp_path: Path) -> None:

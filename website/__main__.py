@@ -79,7 +79,7 @@ def _write_browser(source: Path, work: Path, results: Sequence[gallery.Result]) 
         shutil.rmtree(source / bundle.FOLDER, ignore_errors=True)
         click.echo(f"the site lacks the page that generates in a browser: {error}", err=True)
     else:
-        bundle.link(source / "playground.md")
+        bundle.link(source)
 
 
 def _run(examples: Sequence[Example], runs: Path, programs: Path) -> list[gallery.Result]:

@@ -45,7 +45,7 @@ STYLE = """\
 .ways p { margin: 0; }
 .front img.narrow { display: none; }
 @media (max-width: 600px) { .front img.wide { display: none; } .front img.narrow { display: block; } }
-.cards img { width: 100%; height: 9rem; object-fit: contain; background: white; }
+.cards img { width: 100%; aspect-ratio: 8 / 5; object-fit: contain; background: white; }
 """
 
 TUTORIALS = "tutorials"  # their folder

@@ -48,6 +48,8 @@ LINK = f"""
 [This page]({FOLDER}/index.html) runs the generator in the browser: change the model, and see it move, with its
 equations and operation counts.
 """
+GALLERY = "[Gallery](gallery/index.md){ .md-button }\n"  # a button of the front page
+BUTTON = f"[Try it here]({FOLDER}/index.html){{ .md-button }}\n"
 FIRST = "double_pendulum"  # the mechanism that moves at once
 
 
@@ -86,10 +88,14 @@ def list_methods() -> list[dict[str, Any]]:
     return found
 
 
-def link(page: Path) -> None:
-    """Add to a page of the site that the page is there."""
-    with page.open("a", encoding="utf-8") as file:
+def link(pages: Path) -> None:
+    """Add to the guide of playgrounds, and to the buttons of the front page, that the page is there."""
+    with (pages / "playground.md").open("a", encoding="utf-8") as file:
         file.write(LINK)
+    front = pages / "index.md"
+    text = front.read_text(encoding="utf-8")
+    assert GALLERY in text, "the front page has a button of the gallery"
+    front.write_text(text.replace(GALLERY, GALLERY + BUTTON), encoding="utf-8")
 
 
 def _copy(source: Path, target: Path, names: tuple[str, ...]) -> None:
