@@ -40,6 +40,7 @@ STYLE = """\
 .front { align-items: center; margin-bottom: 1rem; }
 .front > * { min-width: 0; }
 .front h1 { margin-bottom: .6rem; }
+.front .md-button { margin-bottom: .4rem; }
 .front img { width: 100%; border-radius: .3rem; background: white; }
 .ways { display: grid; grid-template-columns: repeat(auto-fill, minmax(min(100%, 16rem), 1fr)); gap: .4rem 1.5rem; }
 .ways p { margin: 0; }

@@ -99,7 +99,7 @@ function compare(machine, costs) { // measures once Python is here, since a meas
   measuring = measured = null;
   waiting = { machine, costs };
   list(costs);
-  byId("front-part").hidden = false;
+  byId("made").hidden = false;
   byId("finding").textContent = isHere ? "It is being measured …" : "It is measured once Python is here.";
   byId("choice").textContent = "";
   byId("chart").replaceChildren();
@@ -185,8 +185,7 @@ byId("model").addEventListener("keydown", (event) => {
 byId("swing").addEventListener("click", () => {
   byId("mechanism").removeAttribute("srcdoc");
   byId("mechanism").src = "swing_up.html";
-  byId("equations").srcdoc = byId("report").textContent = "";
-  byId("front-part").hidden = true;
+  byId("made").hidden = true;
   say("The solver runs in this page: it plans the swing-up of a cart-pole, and plans anew in each period.");
 });
 
