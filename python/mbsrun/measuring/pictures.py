@@ -60,9 +60,19 @@ def save_picture(figure: Figure, path: Path, dpi: int) -> None:
     whole = io.BytesIO()
     figure.savefig(whole, format="png", dpi=dpi)
     with Image.open(whole) as picture:
-        picture.convert("RGB").quantize(SHADES, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE).save(
-            path, optimize=True
-        )
+        reduce_colors(picture.convert("RGB")).save(path, optimize=True)
+
+
+def reduce_colors(picture: Image.Image) -> Image.Image:
+    """Keep the SHADES most frequent colours of a picture; each other colour becomes the nearest one of these."""
+    points = np.asarray(picture, dtype=np.int64).reshape(-1, 3)
+    codes, place, counts = np.unique(points @ (65536, 256, 1), return_inverse=True, return_counts=True)
+    colors = np.stack((codes // 65536, codes // 256 % 256, codes % 256), axis=1)
+    kept = colors[np.lexsort((codes, -counts))[:SHADES]]
+    nearest = np.array([((kept - color) ** 2).sum(axis=1).argmin() for color in colors], dtype=np.uint8)
+    reduced = Image.fromarray(nearest[place].reshape(picture.height, picture.width), "P")
+    reduced.putpalette(kept.astype(np.uint8).tobytes())
+    return reduced
 
 
 @styled
