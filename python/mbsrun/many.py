@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -176,31 +177,61 @@ def share(work: Callable[[range], Result], states: range, width: int, threads: i
         return list(pool.map(work, parts))
 
 
-def compute_nonzeros(
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """A kernel on nonzeros of many states, laid out but for the addresses of its arguments."""
+
+    compute: Callable[[int], int]  # to the statuses at an address; returns how many states fail
+    given: tuple[Any, ...]
+    found: tuple[Any, ...]
+    point: Callable[[int], Any]
+    kept: tuple[Any, ...]  # what the others point to
+
+    def run(self, given: Iterable[int], found: Iterable[int], status: int) -> int:
+        """Call the kernel on numbers at these addresses; write results and statuses; return how many states fail."""
+        for argument, address in zip(self.given, given, strict=True):
+            argument.first = self.point(address)
+        for argument, address in zip(self.found, found, strict=True):
+            argument.first = self.point(address)
+        return self.compute(status)
+
+
+def lay_rows(
     loop: Loop,
     entry: Entry,
     several: Several | None,
-    inputs: Sequence[tuple[Port, Array]],
+    inputs: Sequence[tuple[Port, tuple[int, int]]],
     outputs: Sequence[Port],
     states: int,
-) -> tuple[Status, list[Array]]:
-    """Call a kernel on nonzeros, contiguous: a row for each state, or one for all.
+) -> Rows:
+    """Lay out a call on nonzeros: of inputs with these strides from state to state, 0 for one row, and in a state.
 
-    Returns the status of each state, shape (states,), and the nonzeros of the outputs, shapes (states, nnz): NaN where
-    the status is not 0.
+    Results are contiguous, a row for each state.
     """
     ffi = loop.ffi
     given, found = ffi.new("mbs_given[]", entry.n_in), ffi.new("mbs_found[]", entry.n_out)
-    for port, rows in inputs:
-        size = rows.shape[1]
-        step = size if rows.shape[0] == states else 0
-        given[port.position] = (ffi.cast("double *", rows.ctypes.data), step, size, NULL)
-    results = [np.empty((states, port.argument.nnz)) for port in outputs]
-    for port, rows in zip(outputs, results, strict=True):
-        size = rows.shape[1]
-        found[port.position] = (ffi.cast("double *", rows.ctypes.data), size, 1, size, size, NULL)
-    room = loop.get("mbs_room_of_many")(entry.n_in, given, entry.n_out, found)
-    return _run(loop, entry, several, Layout(given, found, room), results, states), results
+    kept = []
+    for port, (step, apart) in inputs:
+        size = port.argument.nnz
+        places = NULL if apart == 1 or size == 1 else ffi.new("long long[]", [apart * k for k in range(size)])
+        given[port.position] = (NULL, step, size, places)
+        kept.append(places)
+    for port in outputs:
+        size = port.argument.nnz
+        found[port.position] = (NULL, size, 1, size, size, NULL)
+    room = ffi.new("char[]", loop.get("mbs_room_of_many")(entry.n_in, given, entry.n_out, found))
+    one, wide = (ffi.cast("void *", f) for f in (entry.function, several.function if several else NULL))
+    compute = partial(
+        loop.get("mbs_compute_many"), one, wide, states, 0, states, entry.n_in, given, entry.n_out, found, room
+    )
+    to_statuses, to_numbers = ffi.typeof("int *"), ffi.typeof("double *")
+    return Rows(
+        lambda status: int(compute(ffi.cast(to_statuses, status))),
+        tuple(given[port.position] for port, _ in inputs),
+        tuple(found[port.position] for port in outputs),
+        partial(ffi.cast, to_numbers),
+        (given, found, *kept),
+    )
 
 
 def find_room(loop: Loop, entry: Entry, inputs: Sequence[Port], outputs: Sequence[Port]) -> int:

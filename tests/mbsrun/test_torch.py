@@ -178,6 +178,41 @@ def test_failures_in_a_large_batch_harm_no_other_state(guarded: Mechanism) -> No
     assert np.array_equal(results["f"].isnan().any(1), statuses != 0)
 
 
+def test_tensors_lie_in_memory_in_any_way(sample: Mechanism) -> None:
+    """Columns, parts of wider tensors, one row for all, negated views; the reference are contiguous copies."""
+    face = faces.load(sample)
+    for states in (0, 1, 7, 1001):
+        x, y, z = (torch.from_numpy(a) for a in draw(sample, "impl", 11, states).values())
+        wide = torch.cat([x, y, z], 1)
+        negated = torch.complex(torch.zeros_like(x), -x).conj().imag
+        ways = {
+            "columns": (x.T.contiguous().T, y.T.contiguous().T, z),
+            "parts": (wide[:, :3], wide[:, 3:5], wide[:, 5:]),
+            "backwards": (torch.cat([x, x], 1)[:, ::2].clone(), torch.stack([y, y], 2)[..., 1], z),
+            "parameters": (torch.nn.Parameter(x), y, z),
+            "negated": (negated, y, z),
+        }
+        assert negated.is_neg()
+        for given in ways.values():
+            copies = [a.detach().resolve_neg().contiguous().numpy() for a in given]
+            expected = sample.attempt("impl", **dict(zip("xyz", copies, strict=True)))[0]
+            with torch.no_grad():
+                found = face.impl(x=given[0], y=given[1], z=given[2])
+            assert all(np.array_equal(found[name], expected[name]) for name in expected)
+    shared = face.impl(x=x[:1].expand(1001, 3), y=y, z=z)
+    assert np.array_equal(shared["f"], face.impl(x=x[0], y=y, z=z)["f"])
+
+
+def test_tracing_records_calls(sample: Mechanism) -> None:
+    """Under a mode of dispatch, too, where tensors keep their own type."""
+    from torch.fx.experimental.proxy_tensor import make_fx
+
+    face, inputs = faces.load(sample), as_tensors(draw(sample, "impl", 5, 3))
+    graph = make_fx(lambda x, y, z: face.impl(x=x, y=y, z=z)["f"])(*inputs.values())
+    other = [2 * x for x in inputs.values()]
+    assert np.array_equal(graph(*other), face.impl(**dict(zip(inputs, other, strict=True)))["f"])
+
+
 def test_values_of_run_time_parameters_are_an_input(sample: Mechanism) -> None:
     """`p` gives each state its own; the reference is the NumPy face with these parameters."""
     face, inputs = faces.load(sample), draw(sample, "impl", 7, 2)
@@ -207,6 +242,10 @@ MISUSES: dict[str, tuple[Callable[[Any], object], str]] = {
     "device": (
         lambda f: f.impl(x=ones(3).to("meta"), y=ones(2), z=ones(1)),
         "move it by .cpu(), or compute batches on a GPU by mbsrun.cuda",
+    ),
+    "sparse": (
+        lambda f: f.impl(x=ones(3).to_sparse(), y=ones(2), z=ones(1)),
+        "impl: x: a tensor of layout torch.sparse_coo given; convert it by .to_dense()",
     ),
     "text": (lambda f: f.impl(x="abc", y=ones(2), z=ones(1)), "impl: x: not a tensor or an array of real numbers: str"),
     "gradient by p": (lambda f: f.impl(x=ones(3), y=ones(2), z=ones(1), p=ones(2).clone().requires_grad_()), GRADIENT),

@@ -162,8 +162,10 @@ class Face(ABC, Generic[A]):
         self, operator: Operator, inputs: Mapping[str, Any], *, with_status: bool
     ) -> tuple[A | None, Mapping[str, Any]]:
         """Replace values of run-time parameters by the results of the setup; return its status, too."""
+        if VALUES not in inputs:
+            return None, inputs
         hidden, setup = operator.value.entry.hidden, operator.kernels.manifest.setup
-        if hidden is None or VALUES not in inputs or setup is None:
+        if hidden is None or setup is None:
             return None, inputs
         if hidden in inputs:
             raise ArgumentError(f"{operator.name}: {VALUES} and {hidden} are given; {hidden} is computed from {VALUES}")

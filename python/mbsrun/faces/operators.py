@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Container, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property, partial
 
 import numpy as np
@@ -20,10 +20,9 @@ from numpy.typing import NDArray
 
 from mbsgen.manifest import Kernel
 from mbsgen.roles import Order, Role, name_adjoint
-from mbsrun import many
-from mbsrun.binding import ArgumentError, Array, Entry, Port, Status
+from mbsrun.binding import ArgumentError, Entry, Port
 from mbsrun.external import INTEGER, Mechanism
-from mbsrun.many import Loop, Several
+from mbsrun.many import LAID, Loop, Rows, Several, lay_rows
 
 Places = NDArray[np.intp]
 
@@ -37,20 +36,30 @@ class Call:
     given: tuple[Port, ...]
     wanted: tuple[Port, ...]
     key: int  # by the content of its library
+    laid: dict[object, list[Rows]] = field(default_factory=dict, compare=False)  # layouts that nobody uses
 
-    @property
+    @cached_property
     def sizes(self) -> tuple[int, ...]:
         """Return the number of nonzeros of each result."""
         return tuple(port.argument.nnz for port in self.wanted)
 
-    def run(self, rows: Sequence[Array], states: int) -> tuple[Status, list[Array]]:
-        """Call the kernel on the nonzeros of the given inputs, a row for each state or one for all.
+    def take_rows(self, states: int, strides: tuple[tuple[int, int], ...]) -> Rows:
+        """Take a layout for the nonzeros of the given inputs, by their strides; see `many.lay_rows`.
 
-        Returns the status of each state, and the nonzeros of the wanted results: NaN where the status is not 0.
+        Nobody else has it until it is put back.
         """
-        loop, several = self.choose_loop(states)
-        given = list(zip(self.given, rows, strict=True))
-        return many.compute_nonzeros(loop, self.entry, several, given, self.wanted, states)
+        try:
+            return self.laid[states, strides].pop()
+        except LookupError:
+            loop, several = self.choose_loop(states)
+            inputs = list(zip(self.given, strides, strict=True))
+            return lay_rows(loop, self.entry, several, inputs, self.wanted, states)
+
+    def put_rows_back(self, states: int, strides: tuple[tuple[int, int], ...], rows: Rows) -> None:
+        """Keep a layout for later calls."""
+        if len(self.laid) > LAID:
+            self.laid.clear()
+        self.laid.setdefault((states, strides), []).append(rows)
 
 
 @dataclass(frozen=True)
@@ -116,25 +125,38 @@ class Operator:
 
     def call(self, order: Order) -> Call:
         """Return the call of an order. Raises ArgumentError for derivatives that are not generated."""
-        calls: Mapping[Order, Callable[[], Call]] = {
-            Order.VALUE: lambda: self.value,
-            Order.JACOBIAN: lambda: self.jacobian.call,
-            Order.ADJOINT: lambda: self.adjoint.call,
-            Order.ADJOINT_JACOBIAN: lambda: self.curvature.call,
-        }
-        return calls[order]()
+        match order:
+            case Order.VALUE:
+                return self.value
+            case Order.JACOBIAN:
+                return self.jacobian.call
+            case Order.ADJOINT:
+                return self.adjoint.call
+            case Order.ADJOINT_JACOBIAN:
+                return self.curvature.call
+        raise ArgumentError(f"{self.name}: {order.value} is no call of an operator")
 
     def check_moving(self, moving: Sequence[int]) -> None:
         """Refuse derivatives by inputs that have none."""
-        fixed = [self.value.given[i].argument for i in moving]
-        fixed = [a for a in fixed if not a.role.is_differentiated]
+        fixed = [self.fixed[i] for i in moving if i in self.fixed]
         if fixed:
             raise ArgumentError(
-                f"{self.name} has no derivatives by run-time parameters ({', '.join(a.name for a in fixed)}); "
+                f"{self.name} has no derivatives by run-time parameters ({', '.join(fixed)}); "
                 "declare the parameter `kind: differentiated` in the model, and differentiate by theta"
             )
-        if moving:
+        if moving and not self.has_jacobian:
             self.find(Order.JACOBIAN)
+
+    @cached_property
+    def fixed(self) -> dict[int, str]:
+        """The names of the given inputs without derivatives, by their numbers."""
+        arguments = (port.argument for port in self.value.given)
+        return {i: a.name for i, a in enumerate(arguments) if not a.role.is_differentiated}
+
+    @cached_property
+    def has_jacobian(self) -> bool:
+        """Whether first derivatives are generated."""
+        return self.kernels.manifest.find(self.name, Order.JACOBIAN) is not None
 
     def find(self, order: Order) -> Kernel:
         """Describe the kernel of a derivative. Raises ArgumentError where it is not generated."""

@@ -7,6 +7,7 @@ same for all states. A program names its kernel by a number made from the conten
 
 from __future__ import annotations
 
+import inspect
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -21,12 +22,13 @@ from mbsrun.faces.operators import Block, Operator
 
 Tensors = list[torch.Tensor]
 ORDERS = tuple(Order)
+PLAIN = (torch.Tensor, torch.nn.Parameter)
 _entered: dict[int, Operator] = {}  # what programs name by numbers, as long as the process lives
 
 
 def call(operator: Operator, order: Order, arrays: Sequence[torch.Tensor], *, with_status: bool = False) -> Tensors:
     """Call a kernel; return nonzeros, and last the statuses, if asked."""
-    if not torch._C._are_functorch_transforms_active() and all(map(_is_plain, arrays)):  # a third of the time
+    if _is_direct(arrays) and not find_moving(arrays):  # a third of the time
         return _compute(operator, order, arrays, with_status=with_status)
     number = ORDERS.index(order)
     if torch.compiler.is_compiling():  # which cannot read functions with a rule of forward mode
@@ -35,15 +37,23 @@ def call(operator: Operator, order: Order, arrays: Sequence[torch.Tensor], *, wi
     return list(_Called.apply(enter(operator), number, with_status, *arrays))
 
 
-def _is_plain(array: torch.Tensor) -> bool:
-    """Return whether no rule of PyTorch applies to a tensor."""
-    return type(array) is torch.Tensor and not is_moving(array)
+def _is_direct(arrays: Sequence[torch.Tensor]) -> bool:
+    """Return whether PyTorch only computes: it neither transforms nor records, and tensors hold their numbers."""
+    if torch._C._are_functorch_transforms_active() or torch._C._len_torch_dispatch_stack():
+        return False
+    return all([type(array) in PLAIN for array in arrays])  # noqa: C419 quicker than a generator
 
 
-def is_moving(array: torch.Tensor) -> bool:
-    """Return whether a derivative by a tensor may be asked for, in reverse or in forward mode."""
-    if torch.is_grad_enabled() and array.requires_grad:
-        return True
+def find_moving(arrays: Sequence[torch.Tensor]) -> list[int]:
+    """Return the numbers of the tensors by which derivatives may be asked for, in reverse or in forward mode."""
+    is_reverse = torch.is_grad_enabled()
+    is_forward = forward_ad._current_level >= 0 or torch._C._are_functorch_transforms_active()
+    if not (is_reverse or is_forward):
+        return []
+    return [i for i, a in enumerate(arrays) if (is_reverse and a.requires_grad) or (is_forward and _has_tangent(a))]
+
+
+def _has_tangent(array: torch.Tensor) -> bool:
     while torch._C._functorch.is_batchedtensor(array):  # vmap cannot pass the question on
         array = torch._C._functorch.get_unwrapped(array)
     return forward_ad.unpack_dual(array).tangent is not None
@@ -55,26 +65,47 @@ def enter(operator: Operator) -> int:
 
 
 def _find_batch(arrays: Sequence[torch.Tensor]) -> tuple[int, ...]:
-    return next((tuple(a.shape[:-1]) for a in arrays if a.dim() > 1), ())
+    for array in arrays:
+        if array.dim() > 1:
+            return tuple(array.shape[:-1])
+    return ()
 
 
 def _compute(operator: Operator, order: Order, arrays: Sequence[torch.Tensor], *, with_status: bool) -> Tensors:
     found, batch = operator.call(order), _find_batch(arrays)
-    rows = [np.ascontiguousarray(_read(a).reshape((-1, a.shape[-1]))) for a in arrays]
-    status, results = found.run(rows, math.prod(batch))
-    tensors = [torch.from_numpy(result.reshape((*batch, result.shape[-1]))) for result in results]
-    return tensors + [torch.from_numpy(status.reshape(batch))] * with_status
+    states = math.prod(batch)
+    rows = [_read(array) for array in arrays]
+    strides = tuple([stride for _, _, stride in rows])
+    results = [torch.from_numpy(np.empty((*batch, size))) for size in found.sizes]  # quicker than torch.empty
+    status = torch.from_numpy(np.empty(batch, dtype=np.int32))
+    layout = found.take_rows(states, strides)
+    failures = layout.run([place for _, place, _ in rows], [x.data_ptr() for x in results], status.data_ptr())
+    found.put_rows_back(states, strides, layout)
+    if failures:
+        for result in results:
+            result.masked_fill_((status != 0)[..., None], torch.nan)
+    return [*results, status] if with_status else results
 
 
-def _read(array: torch.Tensor) -> Any:
-    """Return the numbers of a tensor. Raises ArgumentError for a batch of PyTorch's older vmap, which hides them."""
+def _read(array: torch.Tensor) -> tuple[torch.Tensor, int, tuple[int, int]]:
+    """Return the rows of a tensor, their address, and strides from row to row, 0 for one, and from number to number.
+
+    Raises ArgumentError for a batch of PyTorch's older vmap, which hides its numbers.
+    """
     try:
-        return array.detach().resolve_neg().numpy()
+        if array.is_neg():
+            array = array.resolve_neg()
+        if array.dim() > 2:
+            array = array.reshape((-1, array.shape[-1]))
+        place, strides = array.data_ptr(), array.stride()
     except RuntimeError:
+        place, strides = 0, ()
+    if not (place or array.numel() == 0):
         raise ArgumentError(
             "batches of gradients by is_grads_batched or vectorize=True do not reach kernels; take torch.func.vmap, "
             "torch.func.jacrev or torch.func.jacfwd"
-        ) from None
+        )
+    return array, place, (strides[0] if len(strides) > 1 else 0, strides[-1])
 
 
 def _run_call(arrays: list[torch.Tensor], key: int, order: int, with_status: bool) -> list[torch.Tensor]:
@@ -131,6 +162,8 @@ class _Called(torch.autograd.Function):  # type: ignore[misc]
 
     @staticmethod
     def forward(key: int, order: int, with_status: bool, *arrays: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        if _is_direct(arrays):
+            return tuple(_compute(_entered[key], ORDERS[order], arrays, with_status=with_status))
         return tuple(torch.ops.mbsrun.call(list(arrays), key, order, with_status))
 
     @staticmethod
@@ -171,6 +204,10 @@ class _Called(torch.autograd.Function):  # type: ignore[misc]
         shapes = ctx.shapes[: len(ctx.shapes) - ctx.with_status]
         changes = [found[k] if k in found else arrays[0].new_zeros(s) for k, s in enumerate(shapes)]
         return (*changes, None) if ctx.with_status else tuple(changes)
+
+
+# PyTorch reads it at every call, and makes it anew otherwise
+_Called.forward.__signature__ = inspect.signature(_Called.forward)  # type: ignore[attr-defined]
 
 
 def _refuse_nested(operator: Operator) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, Self
 
@@ -10,7 +11,7 @@ import numpy as np
 import torch
 from torch.utils.checkpoint import checkpoint
 
-from mbsgen.roles import Order
+from mbsgen.roles import Order, Role
 from mbsrun.binding import ArgumentError
 from mbsrun.faces.face import Given
 from mbsrun.faces.operators import Operator
@@ -36,6 +37,15 @@ def _attempt_plainly(number: int, name: str, inputs: Mapping[str, Any]) -> tuple
 # torch.compile takes calls as they are, and does not read the code that checks them
 _call_number = torch._dynamo.nonstrict_trace(_call_plainly)
 _attempt_number = torch._dynamo.nonstrict_trace(_attempt_plainly)
+
+
+@dataclass(frozen=True)
+class _Slot:
+    """An input that is a vector: its length, and the value that it has where none is given."""
+
+    name: str
+    size: int
+    filled: torch.Tensor | None
 
 
 class Functions(SteppingFace[torch.Tensor]):
@@ -86,6 +96,8 @@ class Functions(SteppingFace[torch.Tensor]):
             return torch.from_numpy(_read_numbers(value))
         if value.dtype != torch.float64:
             raise ArgumentError(f"{value.dtype} given, torch.float64 expected; convert it by .double()")
+        if value.layout is not torch.strided:
+            raise ArgumentError(f"a tensor of layout {value.layout} given; convert it by .to_dense()")
         if value.device.type != "cpu":
             raise ArgumentError(
                 f"a tensor on {value.device.type} given; kernels run on the processor here: move it by .cpu(), or "
@@ -97,11 +109,12 @@ class Functions(SteppingFace[torch.Tensor]):
         """Load a model, as the other faces do."""
         super().__init__(model, parameters)
         self._number = _enter(self)
+        self._slots: dict[str, tuple[_Slot, ...]] = {}  # of functions whose inputs are all vectors
 
     def with_parameters(self, **parameters: float) -> Self:
         """Return the same functions with other values of the named parameters, which are plain numbers."""
         other = super().with_parameters(**parameters)
-        other._number = _enter(other)
+        other._number, other._slots = _enter(other), {}
         return other
 
     def __getattr__(self, name: str) -> Callable[..., dict[str, torch.Tensor]]:
@@ -123,10 +136,46 @@ class Functions(SteppingFace[torch.Tensor]):
             return dict(results), status
         return super().attempt(name, **inputs)
 
+    def _collect(self, operator: Operator, inputs: Mapping[str, Any]) -> Given[torch.Tensor]:
+        """Pair the operator's inputs with tensors, as the other faces do; vectors that fit take a third of the time."""
+        return self._collect_vectors(operator, inputs) or super()._collect(operator, inputs)
+
+    def _collect_vectors(self, operator: Operator, inputs: Mapping[str, Any]) -> Given[torch.Tensor] | None:
+        """Pair vectors with tensors that fit; None for anything else."""
+        arrays, batch, taken = [], None, 0
+        for slot in self._find_slots(operator):
+            array = inputs.get(slot.name, slot.filled)
+            if type(array) not in calls.PLAIN or array.dtype is not torch.float64 or not array.is_cpu:
+                return None
+            shape = array.shape
+            if array.layout is not torch.strided or not shape or shape[-1] != slot.size:
+                return None
+            if len(shape) > 1:
+                if batch not in (None, shape[:-1]):
+                    return None
+                batch = shape[:-1]
+            taken += slot.name in inputs
+            arrays.append(array)
+        return Given(tuple(arrays), tuple(batch or ())) if arrays and taken == len(inputs) else None
+
+    def _find_slots(self, operator: Operator) -> tuple[_Slot, ...]:
+        """List the inputs with entries in the operator's order; nothing where one is a matrix."""
+        if operator.name not in self._slots:
+            filled = {name: torch.from_numpy(np.array(x)) for name, x in self._fill(operator).items()}
+            filled |= {
+                port.argument.name: torch.zeros(port.argument.nnz, dtype=torch.float64)
+                for port in operator.value.given
+                if port.argument.role is Role.REMAINDER
+            }
+            slots = [_Slot(p.argument.name, p.argument.nnz, filled.get(p.argument.name)) for p in operator.value.given]
+            is_plain = all(port.is_vector and port.places is None for port in operator.value.given)
+            self._slots[operator.name] = tuple(slots) if is_plain else ()
+        return self._slots[operator.name]
+
     def _run(
         self, operator: Operator, given: Given[torch.Tensor], *, with_status: bool
     ) -> tuple[Sequence[torch.Tensor], torch.Tensor | None]:
-        operator.check_moving([i for i, array in enumerate(given.arrays) if calls.is_moving(array)])
+        operator.check_moving(calls.find_moving(given.arrays))
         results = calls.call(operator, Order.VALUE, given.arrays, with_status=with_status)
         return (results[:-1], results[-1]) if with_status else (results, None)
 
