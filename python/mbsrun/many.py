@@ -179,7 +179,7 @@ def share(work: Callable[[range], Result], states: range, width: int, threads: i
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """A kernel on nonzeros of many states, laid out but for the addresses of its arguments."""
+    """A kernel on nonzeros of many states, laid out except for the addresses of its arguments."""
 
     compute: Callable[[int], int]  # to the statuses at an address; returns how many states fail
     given: tuple[Any, ...]
