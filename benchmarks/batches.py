@@ -1,19 +1,24 @@
-"""Kernels in batches, one state after the other and in lanes: `python -m benchmarks.batches`.
+"""Kernels in batches, one state after the other and in lanes, beside peers: `python -m benchmarks.batches`.
 
-Times are of one core, in ns a state: the least of many calls for 8192 states, into arrays that are there. In arrays by
-rows a state's numbers follow each other, in arrays by columns the states do; both give the same digits. frax, if it is
-installed (`pip install frax`), computes the function of the Panda that it brings, in doubles, on one thread of JAX.
+Times are processor times of one core, in ns a state: the least of many calls for 8192 states, into arrays that are
+there. In arrays by rows a state's numbers follow each other, in arrays by columns the states do; both give the same
+digits. Other programs run beside on this machine, so times vary by some tens of percent from run to run.
+
+Peers compute the same mechanisms in the same run, in one thread and a process for each (`batch_peers.py`); their
+results are compared with the kernels'. `--python PEER=COMMAND` starts a peer by another interpreter, for versions of
+JAX that it works with, or is quicker with.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import os
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from importlib import import_module
-from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -21,9 +26,11 @@ from typing import Any
 import numpy as np
 
 import mbsrun
+from benchmarks import batch_peers
 from benchmarks.compilation import describe_machine
 from benchmarks.pages import tabulate
 from benchmarks.robots import ROBOTS, find_robot
+from benchmarks.step_gradients import Steps, measure_steps
 from mbsgen.manifest import Kernel
 from mbsgen.pipeline import Options, generate
 from mbsrun import many
@@ -39,7 +46,8 @@ FUNCTIONS = ("impl", "exp2")
 STATES = 8192
 MOTIONS, STEPS = 2048, 100
 TREES = ("arm_pendulum", "panda")
-FRAX = {"impl": "rnea", "exp2": "forward_dynamics"}
+COMPARED = ("arm_pendulum", "panda", *ROBOTS)  # with peers
+XLA = "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
 
 
 @dataclass(frozen=True)
@@ -51,7 +59,8 @@ class Times:
     columns: float
 
 
-Row = tuple[str, str, Times, float | None]  # mechanism, kernel, times, and frax's
+Row = tuple[str, str, Times]  # mechanism, kernel, times
+Told = Mapping[str, float | str]  # a peer's time, or a reason, by function
 
 
 def main() -> None:
@@ -59,14 +68,47 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=Path("build/batches.md"), help="the page")
     parser.add_argument("--repeats", type=int, default=200, help="calls of which the quickest counts")
+    parser.add_argument("--python", nargs="*", default=[], metavar="PEER=COMMAND", help="interpreters of peers")
+    parser.add_argument("--limit", type=float, default=600.0, help="seconds of a peer in a mechanism, with compilation")
     arguments = parser.parse_args()
+    pythons = dict(item.split("=", 1) for item in arguments.python)
     with TemporaryDirectory() as folder:
         models = MODELS | {name: path for name in ROBOTS if (path := find_robot(name, Path(folder)))}
         rows = [row for name, model in models.items() for row in measure_model(name, model, arguments.repeats)]
         motions = {name: measure_motions(MODELS[name], max(1, arguments.repeats // 20)) for name in TREES}
+        steps = list(measure_steps(MODELS["panda"], arguments.repeats))
+        compared = {name: model for name, model in models.items() if name in COMPARED}
+        peers = {name: measure_peers(name, model, pythons, arguments.limit) for name, model in compared.items()}
     arguments.out.parent.mkdir(parents=True, exist_ok=True)
-    arguments.out.write_text(write_page(rows, motions), encoding="utf-8")
+    arguments.out.write_text(write_page(rows, motions, steps, peers), encoding="utf-8")
     print(f"{arguments.out} holds the figures.")
+
+
+def measure_peers(name: str, model: Path, pythons: Mapping[str, str], limit: float) -> dict[str, Told]:
+    """Measure all peers in a mechanism, each in a process; print a line for each."""
+    found = {}
+    for peer in batch_peers.PEERS:
+        command = [pythons.get(peer, sys.executable), "-m", "benchmarks.batch_peers", peer, str(model)]
+        environment = os.environ | {"JAX_ENABLE_X64": "1", "XLA_FLAGS": XLA, "OMP_NUM_THREADS": "1"}
+        try:
+            run = subprocess.run(
+                command, capture_output=True, text=True, timeout=limit, check=False, cwd=ROOT, env=environment
+            )
+            found[peer] = read_answer(run.stdout, run.stderr)
+        except subprocess.TimeoutExpired:
+            found[peer] = dict.fromkeys(FUNCTIONS, f"more than {limit:.0f} s, with compilation")
+        print(f"{name:<14}{peer:<20}{found[peer]}")
+    return found
+
+
+def read_answer(printed: str, errors: str) -> Told:
+    """Read what a peer's process has printed."""
+    last = printed.strip().splitlines()[-1:]
+    try:
+        told: Told = json.loads(last[0])
+    except (IndexError, json.JSONDecodeError):
+        return dict.fromkeys(FUNCTIONS, (errors.strip().splitlines() or ["it ended"])[-1][:120])
+    return told
 
 
 def measure_model(name: str, model: Path, repeats: int) -> Iterator[Row]:
@@ -77,9 +119,8 @@ def measure_model(name: str, model: Path, repeats: int) -> Iterator[Row]:
         for function in FUNCTIONS:
             for kernel in (function, f"jac_{function}"):
                 found = measure(kernels, kernel, repeats)
-                peer = measure_frax(FRAX[kernel], repeats) if name == "panda" and kernel in FRAX else None
-                print(f"{name:<14}{kernel:<12}{found.one:9.1f}{found.rows:9.1f}{found.columns:9.1f} {peer or ''}")
-                yield name, kernel, found, peer
+                print(f"{name:<14}{kernel:<12}{found.one:9.1f}{found.rows:9.1f}{found.columns:9.1f}")
+                yield name, kernel, found
 
 
 def measure_motions(model: Path, repeats: int) -> float:
@@ -90,9 +131,9 @@ def measure_motions(model: Path, repeats: int) -> float:
         starts = np.random.default_rng(0).uniform(0.1, 0.6, (MOTIONS, len(mechanism.manifest.coordinates)))
         least = float("inf")
         for _ in range(repeats):
-            start = time.perf_counter()
+            start = time.process_time()
             found = mbsrun.rollout(mechanism, starts, 0 * starts, step=1e-3, steps=STEPS, every=STEPS)
-            least = min(least, time.perf_counter() - start)
+            least = min(least, time.process_time() - start)
         assert not found.status.any()
     print(f"{model.stem:<14}{MOTIONS * STEPS / least / 1e6:9.2f} million steps a second")
     return MOTIONS * STEPS / least
@@ -134,55 +175,60 @@ def time_call(call: Callable[[], object], repeats: int) -> float:
     """Return the least time of a call in ns a state."""
     least = float("inf")
     for _ in range(repeats):
-        start = time.perf_counter_ns()
+        start = time.process_time_ns()
         call()
-        least = min(least, time.perf_counter_ns() - start)
+        least = min(least, time.process_time_ns() - start)
     return least / STATES
 
 
-def measure_frax(function: str, repeats: int) -> float | None:
-    """Measure frax's function in doubles, mapped over the states and compiled; None where it is not installed."""
-    if find_spec("frax") is None:
-        return None
-    os.environ.setdefault("JAX_ENABLE_X64", "1")
-    os.environ.setdefault(  # one thread, and what frax recommends
-        "XLA_FLAGS",
-        "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
-        " --xla_cpu_scheduler_type=CPU_SCHEDULER_TYPE_MEMORY_OPTIMIZED",
-    )
-    import jax
-
-    jax.config.update("jax_enable_x64", True)
-    robot = import_module("frax.robots.franka_panda").load_panda()
-    gravity = jax.numpy.array([0.0, 0.0, 0.0, 0.0, 0.0, 9.81])
-    functions = {
-        "rnea": lambda q, v, a: robot.rnea(q, v, a, gravity, None),
-        "forward_dynamics": lambda q, v, tau: robot.forward_dynamics(q, v, tau, None),
-    }
-    compute = jax.jit(jax.vmap(functions[function]))
-    rng = np.random.default_rng(0)
-    states = [jax.numpy.asarray(rng.uniform(0.1, 0.6, (STATES, 7))) for _ in range(3)]
-    compute(*states).block_until_ready()
-    return time_call(lambda: compute(*states).block_until_ready(), repeats)
-
-
-def write_page(rows: Sequence[Row], motions: Mapping[str, float]) -> str:
-    """Write the table as a page."""
-    about = (__doc__ or "").split("\n\n")[1].strip().replace("\n", " ")
-    lines = ["# Batches", "", f"`python -m benchmarks.batches` wrote this page: {describe_machine()}.", "", about, ""]
+def write_page(
+    rows: Sequence[Row],
+    motions: Mapping[str, float],
+    steps: Sequence[Steps],
+    peers: Mapping[str, Mapping[str, Told]],
+) -> str:
+    """Write the tables as a page."""
+    about, further = ((__doc__ or "").split("\n\n")[k].strip().replace("\n", " ") for k in (1, 2))
+    machine = f"{describe_machine()}; {os.getloadavg()[0]:.1f} processes wanted its {os.cpu_count()} cores at the end"
+    lines = ["# Batches", "", f"`python -m benchmarks.batches` wrote this page: {machine}.", "", about, ""]
     cells = (
-        [name, kernel, *(f"{ns:.1f}" for ns in (found.one, found.rows, found.columns)), *_ratios(found, peer)]
-        for name, kernel, found, peer in rows
+        [name, kernel, *(f"{ns:.1f}" for ns in (x.one, x.rows, x.columns)), f"{x.one / min(x.rows, x.columns):.1f}"]
+        for name, kernel, x in rows
     )
-    titles = ["mechanism", "kernel", "one by one", "lanes, rows", "lanes, columns", "gain", "frax", "frax by ours"]
-    steps = ([name, f"{1e-6 * found:.1f}"] for name, found in motions.items())
-    second = tabulate(["mechanism", f"million steps of RK4 a second, {MOTIONS} motions"], steps)
-    return "\n".join([*lines, *tabulate(titles, cells, words=2), "", *second]) + "\n"
+    titles = ["mechanism", "kernel", "one by one", "lanes, rows", "lanes, columns", "gain"]
+    lines += [*tabulate(titles, cells, words=2), "", "## Motions", ""]
+    made = ([name, f"{1e-6 * found:.1f}"] for name, found in motions.items())
+    lines += [*tabulate(["mechanism", f"million steps of RK4 a second, {MOTIONS} motions"], made), ""]
+    lines += [
+        "Steps of the Panda with their gradient: the product of weights with the derivatives by q, qd and u, by the "
+        "adjoint's kernel in lanes, from C (`step_gradients.py`). Millions a second:",
+        "",
+    ]
+    each = ([x.method, str(x.width), f"{x.alone:.1f}", f"{x.with_gradient:.1f}"] for x in steps)
+    lines += [*tabulate(["method", "lanes", "steps", "steps with gradient"], each), "", "## Peers", "", further, ""]
+    return "\n".join([*lines, *_write_peers(rows, peers)]) + "\n"
 
 
-def _ratios(found: Times, peer: float | None) -> list[str]:
-    gain = f"{found.one / min(found.rows, found.columns):.1f}"
-    return [gain, "", ""] if peer is None else [gain, f"{peer:.0f}", f"{peer / min(found.rows, found.columns):.0f}"]
+def _write_peers(rows: Sequence[Row], peers: Mapping[str, Mapping[str, Told]]) -> Iterator[str]:
+    yield " ".join((batch_peers.__doc__ or "").split("\n\n")[1].split())
+    yield ""
+    ours = {(name, kernel): min(x.rows, x.columns) for name, kernel, x in rows}
+    reasons = []
+    cells = []
+    for name, found in peers.items():
+        for function in FUNCTIONS:
+            row = [name, function, f"{ours[name, function]:.0f}"]
+            for peer, told in found.items():
+                ns = told[function]
+                if isinstance(ns, str):
+                    reasons.append(f"- {peer}, {function} of {name}: {ns}")
+                row.append("" if isinstance(ns, str) else f"{ns:.0f} ({ns / ours[name, function]:.0f})")
+            cells.append(row)
+    yield "Times in ns a state; in brackets, how many times ours that is."
+    yield ""
+    yield from tabulate(["mechanism", "function", "lanes", *batch_peers.PEERS], cells, words=2)
+    if reasons:
+        yield from ["", "Not measured:", "", *reasons]
 
 
 if __name__ == "__main__":

@@ -105,7 +105,7 @@ def prepare(model: Path, workshop: Workshop, report: Report, *, hessians: bool =
             short.append(("jac_adj1_impl", adjoint_jacobian(dict(short)["impl"], "jac_adj1_impl")))
         candidates += make_functions(SHORT, short, own, report)
         if workshop.includes is not None:
-            traced = _trace(workshop, mechanism, report)
+            traced = trace(workshop, mechanism, report)
             named = [*_list_traced(traced, (*VALUES, "semi_res")), *_derive(traced, hessians)]
             candidates += make_functions(CASADI, named, own, report)
             candidates += describe_pinocchio(len(tree.bodies), FUNCTIONS, compile_pinocchio(workshop))
@@ -137,7 +137,7 @@ def prepare_peers(model: Path, workshop: Workshop, report: Report, wanted: Wante
             return candidates
         if wanted.traced:
             is_differentiated = bool(wanted.jacobians) and is_small
-            traced = _list_traced(_trace(workshop, mechanism, report), wanted.values, is_differentiated)
+            traced = _list_traced(trace(workshop, mechanism, report), wanted.values, is_differentiated)
             candidates += make_functions(CASADI, traced, own, report)
         functions = [*wanted.values, *wanted.jacobians]
         return candidates + describe_pinocchio(len(tree.bodies), functions, compile_pinocchio(workshop))
@@ -247,7 +247,7 @@ def _derive(functions: dict[str, ca.Function], hessians: bool) -> Named:
     return found
 
 
-def _trace(workshop: Workshop, mechanism: Path, report: Report) -> dict[str, ca.Function]:
+def trace(workshop: Workshop, mechanism: Path, report: Report) -> dict[str, ca.Function]:
     """Trace Pinocchio's algorithms with CasADi's symbols."""
     report("tracing Pinocchio with CasADi's symbols")
     traced = mechanism.with_suffix(".casadi")
