@@ -101,7 +101,24 @@ def prepare_pinocchio_native(task: Task) -> tuple[Compute, int]:
     """Prepare Pinocchio's algorithms in C++, compiled for this processor, in a loop."""
     library = _make_workshop().compile_pinocchio("libm")
     load_mechanism(library, _write_mechanism(task))
-    return _prepare_contract(task, library, f"pin_{task.function}", STATES)
+    arrays, found = _lay(task)
+    arg, res = (
+        (ctypes.c_void_p * len(arrays))(*(a.ctypes.data for a in arrays)),
+        (ctypes.c_void_p * 1)(found.ctypes.data),
+    )
+    steps = np.array([a.shape[1] for a in arrays], dtype=np.int64)
+    address = ctypes.cast(getattr(ctypes.CDLL(str(library)), f"pin_{task.function}"), ctypes.c_void_p).value or 0
+    given, results = ctypes.addressof(arg), ctypes.addressof(res)
+    pool = Pool(STATES, len(arrays), given, steps.ctypes.data, results, None, None, address)
+    timing = load_timing()
+
+    def run() -> Numbers:
+        kept = arrays, arg, res
+        if timing(ctypes.addressof(pool), 1) < 0 or not kept:
+            raise ArithmeticError("Pinocchio fails in one of the states")
+        return found[:1]  # the loop writes to one place, where the last state's result is then
+
+    return run, STATES
 
 
 def prepare_casadi(task: Task) -> tuple[Compute, int]:
@@ -118,46 +135,28 @@ def prepare_casadi(task: Task) -> tuple[Compute, int]:
     finally:
         os.chdir(here)
     library = workshop.compile_c(source, name, ("-O3", "-march=native"))
-    return _prepare_contract(task, library, name, 1, int(mapped.sz_iw()), int(mapped.sz_w()))
+    arrays, found = _lay(task)
+    arg = (ctypes.c_void_p * int(mapped.sz_arg()))(*(a.ctypes.data for a in arrays))
+    res = (ctypes.c_void_p * int(mapped.sz_res()))(found.ctypes.data)
+    iw, w = np.zeros(int(mapped.sz_iw()) + 1, dtype=np.int64), np.zeros(int(mapped.sz_w()) + 1)
+    places = (arg, res, ctypes.c_void_p(iw.ctypes.data), ctypes.c_void_p(w.ctypes.data), 0)
+    call = getattr(ctypes.CDLL(str(library)), name)
 
-
-def _prepare_contract(
-    task: Task, library: Path, name: str, calls: int, sz_iw: int = 0, sz_w: int = 0
-) -> tuple[Compute, int]:
-    """Prepare a function in CasADi's contract: one call for all states, or one for each."""
-    actuated = [i for i, body in enumerate(task.tree.bodies) if body.joint.actuated]
-    arrays = [task.q, task.qd]
-    if task.function == "impl":
-        arrays += [task.last, np.zeros((STATES, len(actuated)))]
-    else:
-        arrays += [np.ascontiguousarray(task.last[:, actuated])]
-    found = np.zeros((STATES, task.q.shape[1]))
-    n_in = len(arrays)
-    arg, res = (ctypes.c_void_p * n_in)(*(a.ctypes.data for a in arrays)), (ctypes.c_void_p * 1)(found.ctypes.data)
-    steps = np.array([a.shape[1] if calls > 1 else 0 for a in arrays], dtype=np.int64)
-    iw, w = np.zeros(sz_iw + 1, dtype=np.int64), np.zeros(sz_w + 1)
-    address = ctypes.cast(getattr(ctypes.CDLL(str(library)), name), ctypes.c_void_p).value or 0
-    pool = Pool(
-        calls,
-        n_in,
-        ctypes.addressof(arg),
-        steps.ctypes.data,
-        ctypes.addressof(res),
-        iw.ctypes.data,
-        w.ctypes.data,
-        address,
-    )
-    timing = load_timing()
-
-    def run() -> Numbers | None:
-        kept = (arg, res, arrays, steps, iw, w)
-        if timing(ctypes.addressof(pool), 1) < 0 or not kept:
+    def run() -> Numbers:
+        kept = arrays, iw, w
+        if call(*places) or not kept:
             raise ArithmeticError(f"{name} fails in one of the states")
-        return found if calls == 1 else found[:1]  # the loop over states writes to one place
+        return found
 
-    if calls > 1:  # what stands there is the last state's
-        found[:] = 0.0
     return run, STATES
+
+
+def _lay(task: Task) -> tuple[list[Numbers], Numbers]:
+    """Return the inputs of a function in CasADi's contract, and room for its result."""
+    actuated = [i for i, body in enumerate(task.tree.bodies) if body.joint.actuated]
+    forces = np.zeros((STATES, len(actuated)))
+    last = [task.last, forces] if task.function == "impl" else [np.ascontiguousarray(task.last[:, actuated])]
+    return [task.q, task.qd, *last], np.zeros_like(task.q)
 
 
 def prepare_mujoco(task: Task) -> tuple[Compute, int]:

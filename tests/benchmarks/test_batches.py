@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from benchmarks import batches, step_gradients
-from benchmarks.batches import MODELS, Times, measure_model, measure_motions, read_answer, write_page
+from benchmarks.batches import MODELS, Times, Told, measure_model, measure_motions, read_answer, write_page
 from benchmarks.step_gradients import Steps, measure_steps
 from tests.golden import ROOT
 
@@ -36,7 +36,7 @@ def test_peers_are_read_with_their_reasons() -> None:
 
 def test_the_page_compares_the_quicker_lanes() -> None:
     rows = [("panda", "impl", Times(90.0, 40.0, 30.0)), ("panda", "exp2", Times(180.0, 50.0, 60.0))]
-    peers = {"panda": {"frax": {"impl": 6000.0, "exp2": "no wheel"}}}
+    peers: dict[str, dict[str, Told]] = {"panda": {"frax": {"impl": 6000.0, "exp2": "no wheel"}}}
     page = write_page(rows, {"panda": 2e6}, [Steps("RK4", 8, 5.0, 1.75)], peers)
     assert "| panda | impl | 90.0 | 40.0 | 30.0 | 3.0 |" in page
     assert "| panda | 2.0 |" in page
