@@ -22,7 +22,7 @@ import casadi as ca
 import numpy as np
 
 from benchmarks.mpc.casadi_peers import MODEL
-from benchmarks.mpc.problem import JOINTS, STATES, Answer, Array, Iterate, Latency, Task, rest, wait
+from benchmarks.mpc.problem import JOINTS, STATES, Answer, Array, Iterate, Latency, Slopes, Task, rest, wait
 from mbsrun.external import OnDemand
 from tests import acados
 
@@ -176,6 +176,12 @@ class AcadosPeer:
         found = self._session.ask("solve", settings=self._fill())
         iterate = Iterate(np.array(found["x"]), np.array(found["a"]))
         return Answer(str(found["status"]), found["status"] == 0, found["iterations"], iterate, found["seconds"])
+
+    def differentiate(self) -> Slopes:
+        """Differentiate at the last solution, by the factors of its last quadratic program."""
+        found = self._session.ask("differentiate", settings=self._fill())
+        matrix, seconds = np.array(found["slopes"]), found["seconds"]
+        return Slopes(matrix, seconds, matrix.sum(axis=0), seconds)
 
     def control(self, steps: int) -> Latency:
         """Move the robot in real time from a solution: one quadratic program a period."""

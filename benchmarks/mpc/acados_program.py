@@ -8,6 +8,7 @@ Requests have `settings`, the entries of `acados_peer.Settings`, and
 
     prepare   a start, a guess, and whether it shifts: starts from the multipliers of the last solution that did not
     solve     from there: status, iterations, processor time, states, accelerations
+    differentiate   the last solution: the first accelerations by the first state, in rows, and processor time
     control   steps in real time from a solution: the times of preparation and feedback, and the last state
 """
 
@@ -134,6 +135,16 @@ class Session:
             "x": [solver.get(k, "x").tolist() for k in range(N + 1)],
             "a": [solver.get(k, "u").tolist() for k in range(N)],
         }
+
+    def differentiate(self, request: Numbers) -> Numbers:
+        """Differentiate the last solution by the first state."""
+        solver, columns, seconds = self._find(request["settings"]), [], 0.0
+        for j in range(len(self._task["goal"])):
+            begin = time.process_time()
+            solver.eval_param_sens(j)
+            seconds += time.process_time() - begin
+            columns.append(solver.get(0, "sens_u"))
+        return {"slopes": np.stack(columns, axis=1).tolist(), "seconds": seconds}
 
     def _lay(self, settings: Numbers) -> AcadosOcpSolver:
         """Set bounds, guess and multipliers."""

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from benchmarks.mpc.problem import JOINTS, STATES, Answer, Array, Iterate, Latency, Task, wait
+from benchmarks.mpc.problem import JOINTS, STATES, Answer, Array, Iterate, Latency, Slopes, Task, wait
 from mbsgen.expressions import parse
 from mbsrun.external import OnDemand
 from mbsrun.ocp.evaluation.stages.binding import Numbers, Tables, Workspace, fill, set_bounds
@@ -27,6 +27,7 @@ from mbsrun.ocp.ground.functions import Formula, Input, KernelResult
 from mbsrun.ocp.ground.program import Block, Program, Stages
 
 LEAST_BARRIER = 1e-5  # of real-time steps
+SHARP_BARRIER = 1e-9  # of derivatives
 SIZE = STATES + 2 * JOINTS  # of a stage: q, qd, a, u
 
 
@@ -135,6 +136,33 @@ class OwnRunner:
         if not self._shifts:
             self._solved = workspace.memory.copy()
         return self._read(result, seconds)
+
+    def differentiate(self) -> Slopes:
+        """Differentiate at the last solution: factorise there, and sweep once for each first state, or for the sum."""
+        workspace, lib = self._workspace, self._tables.lib
+        assert workspace is not None, "there is a solution"
+        options = self._make_options(mu_target=SHARP_BARRIER)
+        ffi, size, columns = self._tables.ffi, workspace.point.w.size, list[Array]()
+        begin = time.process_time()
+        prepared = lib.mbs_stages_prepare(workspace.solver, options, 0)
+        seconds = preparing = time.process_time() - begin
+        if prepared.status != lib.MBS_STAGES_PREPARED:
+            raise RuntimeError(f"the derivative ended with {prepared.status}")
+        first = lib.mbs_stages_places(workspace.solver, 0).v
+        for j in range(STATES):
+            begin = time.process_time()
+            found = lib.mbs_stages_gain(workspace.solver, j)
+            seconds += time.process_time() - begin
+            columns.append(np.frombuffer(ffi.buffer(found, 8 * size))[first + JOINTS : first + 2 * JOINTS].copy())
+        weights, gradient = np.zeros(size), np.zeros(STATES)
+        weights[first + JOINTS : first + 2 * JOINTS] = 1.0
+        given = ffi.from_buffer("double[]", weights), ffi.from_buffer("double[]", gradient)
+        begin = time.process_time()
+        failed = lib.mbs_stages_adjoint(workspace.solver, *given)
+        adjoint = preparing + time.process_time() - begin
+        if failed:
+            raise RuntimeError("the adjoint is no number")
+        return Slopes(np.stack(columns, axis=1), seconds, gradient, adjoint)
 
     def control(self, steps: int) -> Latency:
         """Move the robot in real time from rest, from a converged solution: one step of Newton's method a period."""

@@ -103,6 +103,16 @@ class Answer:
     seconds: float
 
 
+@dataclass(frozen=True)
+class Slopes:
+    """Derivatives of the first accelerations, and their effort: seconds on one core."""
+
+    matrix: Array  # by the first state, (7, 14)
+    seconds: float
+    gradient: Array  # of the sum of the accelerations by the first state, (14,)
+    gradient_seconds: float
+
+
 class Runner(Protocol):
     """A solver with its settings, made for a task: each one is an entry of the comparison."""
 

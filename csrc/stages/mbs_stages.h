@@ -31,6 +31,7 @@
 #endif
 
 #if defined(MBS_STAGES_FLOAT) && !defined(MBS_PRIVATE_H)
+#define mbs_stages_adjoint mbs_stages_adjoint_float
 #define mbs_stages_begin_anew mbs_stages_begin_anew_float
 #define mbs_stages_bytes mbs_stages_bytes_float
 #define mbs_stages_create mbs_stages_create_float
@@ -302,6 +303,13 @@ mbs_stages_realtime mbs_stages_feedback(mbs_stages *solver, const mbs_stages_rea
  * where bounds begin or cease to bind. Returns NULL without a preparation since the last solve. Valid until the next
  * call of the solver; a state that is not fixed has zeros. */
 const mbs_stages_real *mbs_stages_gain(mbs_stages *solver, int j);
+
+#ifndef MBS_STAGES_REALTIME
+/* The adjoint of the gains: `first`, of nx numbers, gets the derivatives of the sum of `weights` times variables, both
+ * ordered as the iterate, by all fixed first states, with one sweep; 0 for states that are not fixed. Returns 0, or -1
+ * where there is no gain. */
+int mbs_stages_adjoint(mbs_stages *solver, const mbs_stages_real *weights, mbs_stages_real *first);
+#endif
 
 /* Let the next preparation take the iterate as a guess, as after a solve. */
 void mbs_stages_begin_anew(mbs_stages *solver);

@@ -304,11 +304,17 @@ mbs_stages_realtime mbs_stages_feedback(mbs_stages *s, const real *first, real *
     return s->realtime;
 }
 
+/* Whether there are factors of a step. */
+static int has_step(const mbs_stages *s)
+{
+    return s->ready || (s->live && s->realtime.status == MBS_STAGES_STEPPED);
+}
+
 const real *mbs_stages_gain(mbs_stages *s, int j)
 {
     const int n = s->recursion.stage[0].nx;
     int i;
-    if (!s->ready && !(s->live && s->realtime.status == MBS_STAGES_STEPPED))
+    if (!has_step(s))
         return NULL;
     memset(s->rw, 0, (size_t)n * sizeof *s->rw);
     if (j >= 0 && j < n && s->fixed[j])
@@ -319,3 +325,24 @@ const real *mbs_stages_gain(mbs_stages *s, int j)
         s->dw[i] *= s->variable_scale[i];
     return is_finite(s->variables, s->dw) ? s->dw : NULL;
 }
+
+#ifndef MBS_STAGES_REALTIME
+/* With f the free variables and h the held first ones, g their weights: g_h - K_hf K_ff^-1 g_f. */
+int mbs_stages_adjoint(mbs_stages *s, const real *weights, real *first)
+{
+    const mbs_stages_stage *t = &s->recursion.stage[0];
+    int i;
+    if (!has_step(s))
+        return -1;
+    for (i = 0; i < s->variables; ++i)
+        s->rw[i] = -weights[i] * s->variable_scale[i];
+    memset(s->rc, 0, (size_t)s->rows * sizeof *s->rc);
+    mbs_stages_sweep(&s->recursion, s->rw, s->rc, s->dw, s->dy);
+    memset(s->residual_w, 0, (size_t)t->n * sizeof *s->residual_w);
+    mbs_stages_matrix_apply_symmetric(&t->H, s->dw, s->residual_w);
+    mbs_stages_add_stage_both(&s->recursion, 0, s->dw, s->residual_c, s->dy, s->residual_w);
+    for (i = 0; i < t->nx; ++i)
+        first[i] = s->fixed[i] ? weights[i] - s->residual_w[i] / s->variable_scale[i] : 0;
+    return is_finite(t->nx, first) ? 0 : -1;
+}
+#endif

@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from benchmarks.mpc import acados_peer, own
+from benchmarks.mpc import acados_peer, own, sensitivities
 from benchmarks.mpc.__main__ import shift
 from benchmarks.mpc.casadi_peers import REFERENCE, CasadiPeer, list_settings
 from benchmarks.mpc.contest import ACCURATE, Start, choose, compete
@@ -148,3 +148,22 @@ def test_the_projects_solver_finds_the_optimum_and_controls_in_real_time(tmp_pat
     assert found.gap(task) < 1e-2
     page = write_page([Horizon(task, (cold,), (warm,), (RealTime("mbs", "some", 1, (found,)),))], 2)
     assert "| 8 | mbs | 100 |" in page
+
+
+def test_derivatives_of_first_inputs_are_differences_of_solutions(tmp_path: Path) -> None:
+    """By sweeps of each state, and of one function by its adjoint; inner variables are torques at their bounds."""
+    model, task = write_slides(tmp_path), replace(Task(intervals=8, step=0.05), torque=np.full(JOINTS, 30.0))
+    torque = OnDemand(model).casadi("impl")
+    start, exact = begin(task, torque), CasadiPeer(task, REFERENCE, torque)
+    runner = OwnRunner(task, model)
+    answer = sensitivities.solve_from(task, runner, start.state)
+    assert answer.is_solved
+    slopes = runner.differentiate()
+    truth = sensitivities.differentiate(task, exact, start.state)
+    assert sensitivities.compare(slopes.matrix, truth) < 1e-3  # by the barrier
+    assert slopes.gradient == pytest.approx(slopes.matrix.sum(axis=0), abs=1e-8 * np.abs(slopes.matrix).max())
+    times = np.array([1e-3, 2e-3])
+    row = sensitivities.Found("mbs", "some", 3, 2, 1e-6, times, times, times / 2, 1e-5, 2e-5)
+    page = sensitivities.write_page([row, replace(row, name="other", slopes=3 * times)], task, 2)
+    assert "| other | 2 of 2 | 1.0e-06 | 1 | 1.00 | 3e+03 | 3.00 | 1.0e-05 | 500 | 1.00 | 2.0e-05 |" in page
+    assert len({str(x) for x in sensitivities.list_acados(20)}) == 16

@@ -33,7 +33,8 @@ Joints move by Fourier series that begin and end at rest, within the limits, max
   mbsrun animate models/recorded/two_link.yaml build/exciting/motion.csv -o build/exciting.html
 
 The criterion measures the information matrix of the base parameters (see mbsrun identify): D by the determinant, E by
-the least eigenvalue, A by the trace of the inverse. Several starts are tried, and the best is moved towards the limits.
+the least eigenvalue, A by the trace of the inverse, C by the deviation of one base parameter, --number. Several starts
+are tried, and the best is moved towards the limits.
 
 \b
 The output folder gets
@@ -59,6 +60,14 @@ Exit codes
     type=click.Choice(CRITERIA),
     default=MODEST.criterion,
     help="The measure of the information matrix; by default D.",
+)
+@click.option("--number", default="", metavar="NAME", help="The base parameter that criterion C makes surest.")
+@click.option(
+    "--torque-noise",
+    "deviations",
+    multiple=True,
+    metavar="NAME=S",
+    help="The standard deviation of a torque [N m], its weight; by default max_force.",
 )
 @click.option(
     "--duration",
@@ -102,6 +111,8 @@ def excite_command(
     bodies: Sequence[str],
     joints: Sequence[str],
     criterion: str,
+    number: str,
+    deviations: Sequence[str],
     duration: float,
     harmonics: int,
     starts: int,
@@ -119,8 +130,10 @@ def excite_command(
         joints=tuple(joints),
         speed=speed,
         parameters=read_numbers("parameter", parameters),
+        noise=read_numbers("torque-noise", deviations),
     )
-    wishes = Wishes(duration, harmonics, criterion, max(MODEST.samples, 40 * harmonics), starts, seed, quick, step)
+    samples = max(MODEST.samples, 40 * harmonics)
+    wishes = Wishes(duration, harmonics, criterion, samples, starts, seed, quick, step, number)
     with show_progress() as report:
         found = excite(model, settings, wishes, report=report)
     out = out or Path(f"{model.stem}.exciting")

@@ -9,6 +9,7 @@ The information of the base parameters is M = sum over times of AT W A, with the
 are in units of their sizes at random states. One of
 
     D: log det M        A: -log tr M^-1        E: the least eigenvalue, as -log (tr M^-p)^(1/p), p = 8
+    C: -log e' M^-1 e, with the unit vector e of one number
 
 is the largest within the limits of coordinates, velocities and torques. Limits are logarithmic barriers, continued by
 parabolas beyond them (J. Hauser, A. Saccon, CDC 2006), so that any start will do. Gradients are exact, by the adjoint
@@ -17,7 +18,7 @@ of the kernel `regressor`, and L-BFGS makes the steps.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -49,7 +50,7 @@ from mbsrun.models import is_model, read_numbers
 Array = NDArray[np.float64]
 Report = Callable[[str, int, int], None]
 
-CRITERIA = ("D", "E", "A")
+CRITERIA = ("D", "E", "A", "C")
 POWER = 8  # of the sum that stands for the least eigenvalue
 BARRIERS = (1.0, 0.2, 0.04)  # weights of the barriers, one after the other
 STEPS = 150  # of L-BFGS for each
@@ -73,6 +74,7 @@ class Wishes:
     seed: int = 0
     speed: float = 2.0  # of joints without a limit [rad/s; half of it in m/s]
     step: float = 0.01  # between two times of the result [s]
+    number: str = ""  # of criterion C: the base parameter that is to be surest
 
 
 MODEST = Wishes()
@@ -112,11 +114,12 @@ def excite(
 ) -> Excitation:
     """Design a motion that determines the unknown numbers of a model file.
 
+    Rows of torques have the weights of `settings.noise`, or else of the model's `max_force`.
     Raises IdentificationError for mechanisms with loops, quaternions or joints without a drive, and where no motion is
     within the limits.
     """
     path = Path(model)
-    _check(path, wishes)
+    _check(path, settings, wishes)
     report("generating the regressor", 0, wishes.starts + len(BARRIERS))
     mechanism = load(path, extent=EXTENT).with_parameters(**settings.parameters)
     numbers = read_numbers(path, settings.parameters)
@@ -125,7 +128,8 @@ def excite(
     unknowns = list_unknowns(manifest, numbers, settings)
     setting = prepare(mechanism, numbers, settings)
     structure = find_structure(setting, unknowns)
-    design = _Design.of(setting, structure, mechanism, wishes)
+    _check_number(structure, wishes)
+    design = _Design.of(setting, structure, mechanism, wishes, settings.noise)
     for _ in range(ROOM):
         x = design.search(report)
         if max(design.find_shares(x).values()) <= 1 + SPARE:
@@ -134,7 +138,7 @@ def excite(
     return design.describe(x)
 
 
-def _check(path: Path, wishes: Wishes) -> None:
+def _check(path: Path, settings: Settings, wishes: Wishes) -> None:
     if not is_model(path):
         raise IdentificationError(f"{path}: it holds code; give the model file")
     if wishes.criterion not in CRITERIA:
@@ -143,8 +147,18 @@ def _check(path: Path, wishes: Wishes) -> None:
         raise IdentificationError(
             "give a positive speed, a step shorter than the duration, one start and two harmonics at least"
         )
+    if wrong := [f"noise of {name}" for name, x in settings.noise.items() if not x > 0]:
+        raise IdentificationError(f"{', '.join(wrong)} must be positive; give a number above 0")
+    if (wishes.criterion == "C") != bool(wishes.number):
+        raise IdentificationError("criterion C makes one number surest, and the others none; give C and a number")
     if wishes.samples < 8 * wishes.harmonics:
         raise IdentificationError(f"give {8 * wishes.harmonics} samples at least, 8 for each harmonic")
+
+
+def _check_number(structure: Structure, wishes: Wishes) -> None:
+    if wishes.number and wishes.number not in structure.names:
+        meant = ", ".join(structure.names)
+        raise IdentificationError(f"no base parameter is named {wishes.number}; there are {meant}")
 
 
 def _check_mechanism(manifest: Manifest) -> None:
@@ -180,7 +194,13 @@ class _Design:
     margin: float = MARGIN
 
     @staticmethod
-    def of(setting: Setting, structure: Structure, mechanism: Mechanism, wishes: Wishes) -> _Design:
+    def of(
+        setting: Setting,
+        structure: Structure,
+        mechanism: Mechanism,
+        wishes: Wishes,
+        noise: Mapping[str, float] | None = None,
+    ) -> _Design:
         manifest = setting.manifest
         low, high = list_ranges(setting)
         limits = [c.max_speed or wishes.speed * (1.0 if c.unit == "rad" else 0.5) for c in manifest.coordinates]
@@ -189,7 +209,7 @@ class _Design:
         A, _ = write_rows(setting, states, structure.unknowns, np.full(len(low), FALL))
         names = list(setting.rows)
         sizes = {manifest.coordinates[i].name: f for i, f in zip(manifest.actuated, forces.tolist(), strict=True)}
-        finite = [sizes.get(name, np.inf) for name in names]
+        finite = [(noise or {}).get(name, sizes.get(name, np.inf)) for name in names]
         weights = np.array([1 / f**2 if np.isfinite(f) else 1.0 for f in finite])
         own = A[:, :, list(structure.kept)] * np.sqrt(weights)[:, None]
         h = np.arange(1, wishes.harmonics + 1)
@@ -243,6 +263,10 @@ class _Design:
         M = np.einsum("kri,krj->ij", A, A) / len(A)
         values, V = np.linalg.eigh(M)
         values = np.maximum(values, 1e-14 * values[-1])
+        if self.wishes.number:
+            k = self.structure.names.index(self.wishes.number)
+            v = V @ (V[k] / values)
+            return float(np.log(v[k])), np.asarray(-2 * (A @ v)[..., None] * v / (v[k] * len(A)))
         if self.wishes.criterion == "D":
             cost, slopes = -float(np.log(values).sum()), -1 / values
         else:

@@ -316,16 +316,23 @@ class OptimalControl(Numbered):
         return differentiate_solution(self._source, list_solution(solution.solution), plants, by, self.programs.find)
 
     def differentiable(
-        self, numbers: Sequence[str], reads: Sequence[str] = ("u", "cost"), *, solution: Solved | None = None
+        self,
+        numbers: Sequence[str],
+        reads: Sequence[str] = ("u", "cost"),
+        *,
+        solution: Solved | None = None,
+        threads: int = 1,
     ) -> Differentiable:
         """Return the optimal motion as a function of numbers, by the names of `numbers`, for programs that learn.
 
         `reads` are its results: `cost`, and parts of a motion: `q`, `qd`, `u`, `states`, `controls`, `unknowns`, `t`.
-        The function solves from `solution`, by default from the problem's own one. Its methods `jax` and `torch` return
-        it for these libraries. Raises ProblemError for names that are none, and for numbers that the program does not
-        follow in straight lines; NotSolvedError where the problem has no solution.
+        The function solves from `solution`, by default from the problem's own one, the members of a batch on `threads`.
+        Its methods `jax` and `torch` return it for these libraries. Raises ProblemError for names that are none, and
+        for numbers that the program does not follow in straight lines; NotSolvedError where the problem has no
+        solution.
         """
         known = check_reads(self.name, reads)
+        _check_counts(self.name, [("threads", threads, 1)])
         found = self.solve(check=False) if solution is None else solution
         answer = self.derivatives(found, numbers).answer
 
@@ -333,7 +340,7 @@ class OptimalControl(Numbered):
             names = (number.name for number in answer.numbers)
             return list_one(self.with_numbers(dict(zip(names, values, strict=True))).value)
 
-        return Differentiable(self.name, make_family(answer, state), known)
+        return Differentiable(self.name, make_family(answer, state), known, threads)
 
     @property
     def _source(self) -> Source:

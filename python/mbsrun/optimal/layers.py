@@ -1,19 +1,21 @@
 """A problem as a function of some of its numbers, for programs that learn: values -> parts of the optimal motion.
 
-Forward is a solve; backward is the adjoint of the optimum, one solve with its factors. Where a solve fails, or an
-optimum has no derivative, numbers are NaN; `find_status` says why.
+Forward is a solve of each member of a batch, from the solution in the middle with its multipliers; no member depends on
+the others, nor on the number of threads. Backward is the adjoint of each optimum, one solve with its factors. Where a
+solve fails, or an optimum has no derivative, numbers are NaN; `find_statuses` returns why.
 """
 
 from __future__ import annotations
 
 import importlib
 from collections import OrderedDict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mbsrun.ocp.ground.functions import Array
 from mbsrun.ocp.ground.trajectory import Trajectory
@@ -41,6 +43,7 @@ class Differentiable:
     name: str  # of the problem
     family: Family
     reads: tuple[str, ...]
+    threads: int = 1  # of solves
     _solves: OrderedDict[bytes, Member] = field(default_factory=OrderedDict, init=False)
     _movements: OrderedDict[bytes, Movement] = field(default_factory=OrderedDict, init=False)
 
@@ -63,7 +66,7 @@ class Differentiable:
     def __call__(self, values: Any) -> dict[str, Array]:
         """Solve at values of the numbers; NaN where there is no solution. Raises ProblemError for a wrong shape."""
         rows, leading = self._split(values)
-        found = [self._read(self.solve(row)) for row in rows]
+        found = [self._read(member) for member in self.solve_all(rows)]
         return {
             name: np.array([part[name] for part in found]).reshape((*leading, *shape))
             for name, shape in self.shapes.items()
@@ -71,7 +74,18 @@ class Differentiable:
 
     def solve(self, values: Array) -> Member:
         """Solve at one vector of values; the latest solves are remembered."""
-        return _remember(self._solves, values, lambda: self.family.solve(values))
+        return self.solve_all([values])[0]
+
+    def solve_all(self, rows: Iterable[Array]) -> list[Member]:
+        """Solve at several vectors of values, each of them once; the latest solves are remembered."""
+        given = [(_name(row), row) for row in rows]
+        keys = [key for key, _ in given]
+        found = {key: self._solves[key] for key in keys if key in self._solves}
+        lacking = {key: row for key, row in given if key not in found}
+        found |= zip(lacking, self.family.solve_all([*lacking.values()], self.threads), strict=True)
+        for key, member in found.items():
+            _keep(self._solves, key, member)
+        return [found[key] for key in keys]
 
     def pull(self, values: Any, weights: Mapping[str, Any]) -> Array:
         """Return the derivatives of sums of weights times results by the numbers, (..., numbers).
@@ -81,13 +95,24 @@ class Differentiable:
         rows, leading = self._split(values)
         given = read_weights(self.name, weights, {name: (*leading, *shape) for name, shape in self.shapes.items()})
         parts = {name: x.reshape((len(rows), *self.shapes[name])) for name, x in given.items()}
-        found = [self._pull(row, {name: x[k] for name, x in parts.items()}) for k, row in enumerate(rows)]
+        members = enumerate(zip(rows, self.solve_all(rows), strict=True))
+        found = [self._pull(row, member, {name: x[k] for name, x in parts.items()}) for k, (row, member) in members]
         return np.array(found).reshape((*leading, len(self.names)))
+
+    def find_statuses(self, values: Any) -> NDArray[np.object_]:
+        """Return the status of each vector of a batch, with the shape of its leading axes; see `find_status`."""
+        rows, leading = self._split(values)
+        self.solve_all(rows)
+        return np.array([self.find_status(row) for row in rows], dtype=object).reshape(leading)
 
     def find_status(self, values: Array) -> str:
         """Return the status of one vector of values: of the solve where it fails, of the derivatives otherwise."""
-        member = self.solve(np.asarray(values, dtype=np.float64))
-        return self._move(values).status if member.is_solved else member.outcome.run.status
+        rows, _ = self._split(values)
+        if len(rows) != 1:
+            raise ProblemError(self.name, [("values", f"{len(rows)} vectors", "give one, or take find_statuses")])
+        (row,) = rows
+        member = self.solve(row)
+        return self._move(row, member).status if member.is_solved else member.outcome.run.status
 
     def jax(self) -> Callable[[Any], Any]:
         """Return it as a function of JAX: (..., numbers) -> a dictionary of arrays.
@@ -173,13 +198,16 @@ class Differentiable:
         count = self.shapes["unknowns"][0] if "unknowns" in self.reads else 0
         return found | ({"unknowns": motion.unknowns[:count]} if "unknowns" in self.reads else {})
 
-    def _move(self, values: Array) -> Movement:
-        return _remember(self._movements, values, lambda: self.family.differentiate(self.solve(values)))
+    def _move(self, values: Array, member: Member) -> Movement:
+        key = _name(values)
+        movement = self._movements.get(key) or self.family.differentiate(member)
+        _keep(self._movements, key, movement)
+        return movement
 
-    def _pull(self, values: Array, weights: Mapping[str, Array]) -> Array:
-        if not self.solve(values).is_solved:
+    def _pull(self, values: Array, member: Member, weights: Mapping[str, Array]) -> Array:
+        if not member.is_solved:
             return np.full(len(self.names), np.nan)
-        movement = self._move(values)
+        movement = self._move(values, member)
         derivatives = Derivatives(self.name, replace(self.family.answer, movement=movement))
         motion = {name: x for name, x in weights.items() if name != COST and x.any()}
         found = np.zeros(len(self.names))
@@ -199,14 +227,15 @@ def check_reads(name: str, reads: Sequence[str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(reads))
 
 
-def _remember(known: OrderedDict[bytes, Kept], values: Array, make: Callable[[], Kept]) -> Kept:
-    key = np.ascontiguousarray(values, dtype=np.float64).tobytes()
-    if key not in known:
-        known[key] = make()
+def _name(values: Array) -> bytes:
+    return np.ascontiguousarray(values, dtype=np.float64).tobytes()
+
+
+def _keep(known: OrderedDict[bytes, Kept], key: bytes, found: Kept) -> None:
+    known[key] = found
     known.move_to_end(key)
     while len(known) > KEPT:
         known.popitem(last=False)
-    return known[key]
 
 
 def _import(name: str, extra: str) -> Any:

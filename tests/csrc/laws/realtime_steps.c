@@ -45,7 +45,7 @@ static void linear_ones(void)
 {
     mbs_stages_options o = mbs_stages_default_options();
     const real measured[3][2] = {{(real)0.25, -1}, {(real)0.75, 2}, {-1, (real)0.5}};
-    real v[2], before[W], gain[2][W];
+    real v[2], before[W], gain[2][W], weights[W], pulled[2];
     mbs_stages_realtime r;
     int i, j, turn;
     open_linear();
@@ -65,6 +65,15 @@ static void linear_ones(void)
             drawn->residual_c[i] = 9; /* which no response reads */
         for (j = 0; j < 2; ++j)
             memcpy(gain[j], mbs_stages_gain(drawn, j), sizeof gain[j]);
+        for (i = 0; i < W; ++i)
+            weights[i] = (real)((7 * i + turn) % 11) - 5;
+        LAW("an adjoint has the factors of gains", mbs_stages_adjoint(drawn, weights, pulled) == 0);
+        for (j = 0; j < 2; ++j) {
+            real sum = 0;
+            for (i = 0; i < W; ++i)
+                sum += weights[i] * gain[j][i];
+            LAW("and the derivatives of a sum", fabs(pulled[j] - sum) < 1e-10 * (1 + fabs(sum)));
+        }
         for (i = 0; i < ROWS; ++i)
             drawn->residual_c[i] = 9;
         r = mbs_stages_feedback(drawn, x, v);
@@ -169,6 +178,7 @@ static void ends(void)
         LAW("a callback may have no result", r.status == MBS_STAGES_CALLBACK_FAILED && r.stage == failing_stage);
         LAW("there is no step then", mbs_stages_feedback(drawn, x, v).status == MBS_STAGES_NOT_PREPARED);
         LAW("and the plan stays", !memcmp(before, drawn->point.w, sizeof before) && mbs_stages_gain(drawn, 0) == NULL);
+        LAW("and there is no adjoint", mbs_stages_adjoint(drawn, before, before) == -1);
     }
     failing = 0;
     LAW("a step is prepared", mbs_stages_prepare(drawn, &o, 0).status == MBS_STAGES_PREPARED);

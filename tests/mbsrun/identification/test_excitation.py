@@ -28,10 +28,12 @@ def make_design(path: Path, settings: Settings, wishes: Wishes) -> _Design:
     return _Design.of(setting, find_structure(setting, unknowns), kernels, wishes)
 
 
-@pytest.mark.parametrize("criterion", ["D", "E", "A"])
+@pytest.mark.parametrize("criterion", ["D", "E", "A", "C"])
 @pytest.mark.parametrize("path", [TWO_LINK, PANDA], ids=["two links", "panda"])
 def test_gradients_are_those_of_central_differences(path: Path, criterion: str) -> None:
-    design = make_design(path, ALL if path == TWO_LINK else Settings(), Wishes(criterion=criterion))
+    number = {TWO_LINK: "Jyy[lower]", PANDA: "Sy[link6] - Sz[link7]"}[path] if criterion == "C" else ""
+    wishes = Wishes(criterion=criterion, number=number)
+    design = make_design(path, ALL if path == TWO_LINK else Settings(), wishes)
     rng = np.random.default_rng(1)
     x = design.draw(rng).ravel() * 1.5  # beyond some limits, where barriers are parabolas
     way, h = rng.normal(size=x.size), 1e-6
@@ -58,6 +60,22 @@ def test_a_motion_keeps_its_limits_and_makes_numbers_surer() -> None:
     t = np.arange(1000) / 100
     other = identify(TWO_LINK, [record(kernels, t, swing(2, t, 3), 1e-3)], settings)
     assert np.prod([x.deviation for x in other.base]) > 10 * np.prod(own)
+
+
+def test_one_number_is_made_surest() -> None:
+    """Criterion C determines its number better than D does, by the noise that is given of each torque."""
+    noise = {"shoulder": 0.01, "elbow": 3.0}
+    whole = excite(TWO_LINK, Settings(), Wishes(starts=2))
+    number = whole.names[0]
+    found = {}
+    for name, motion in {
+        "D": whole,
+        "C": excite(TWO_LINK, Settings(noise=noise), Wishes(starts=2, criterion="C", number=number)),
+    }.items():
+        made = record(open_model(TWO_LINK), motion.t, (motion.q, motion.qd, motion.qdd), 0.0)
+        found[name] = identify(TWO_LINK, [made], Settings(noise=noise)).base[0]
+    assert found["C"].name == found["D"].name == number
+    assert found["C"].deviation < 0.9 * found["D"].deviation
 
 
 def test_the_command_writes_a_table_that_plays(
@@ -98,12 +116,19 @@ def test_mechanisms_that_no_motion_is_designed_for_are_refused(name: str, findin
 
 
 def test_wishes_that_cannot_be_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(IdentificationError, match="no criterion is named F; there are D, E, A"):
+    with pytest.raises(IdentificationError, match="no criterion is named F; there are D, E, A, C"):
         excite(TWO_LINK, wishes=Wishes(criterion="F"))
     with pytest.raises(IdentificationError, match="two harmonics at least"):
         excite(TWO_LINK, wishes=Wishes(harmonics=1))
     with pytest.raises(IdentificationError, match="it holds code"):
         excite(tmp_path)
+    for wishes in (Wishes(criterion="C"), Wishes(number="Jyy[lower]")):
+        with pytest.raises(IdentificationError, match="give C and a number"):
+            excite(TWO_LINK, wishes=wishes)
+    with pytest.raises(IdentificationError, match=r"no base parameter is named m\[upper\]; there are Jyy"):
+        excite(TWO_LINK, wishes=Wishes(criterion="C", number="m[upper]"))
+    with pytest.raises(IdentificationError, match="noise of elbow must be positive"):
+        excite(TWO_LINK, Settings(noise={"elbow": 0.0}))
     weak = TWO_LINK.read_text("utf-8").replace(
         "limits: [-2.5, 2.5], max_speed: 5, max_force: 30", "limits: [1, 2], max_force: 0.5"
     )

@@ -314,6 +314,47 @@ def test_a_layer_has_no_numbers_where_there_are_none() -> None:
         products.differentiable(["constants.b", "constants.c"])
 
 
+def test_members_of_a_batch_do_not_know_each_other() -> None:
+    """Neither the order, nor the company, nor the threads of a batch change a bit; each member has a status."""
+    numbers = ["states.x.end", "controls.a.range.upper"]
+    problem = slide(controls={"a": {"range": [None, 5.0]}})
+    values = np.array([[1.0, 5.0], [1.2, 7.0], [9.0, 1.0], [np.nan, 5.0], [0.9, 4.5], [1.2, 7.0], [np.inf, 2.0]])
+    alone = [problem.differentiable(numbers, ["controls", "cost"])(row) for row in values]
+    for threads, order in ((1, slice(None)), (2, slice(None, None, -1))):
+        layer = problem.differentiable(numbers, ["controls", "cost"], threads=threads)
+        found = layer(values[order].reshape(7, 1, 2))
+        for name in ("controls", "cost"):
+            expected = np.stack([one[name] for one in alone])[order]
+            np.testing.assert_array_equal(found[name][:, 0], expected)
+        infeasible, wrong = "Infeasible_Problem_Detected", "Invalid_Number_Detected"
+        expected = np.array([SMOOTH, SMOOTH, infeasible, wrong, SMOOTH, SMOOTH, wrong])[order]
+        assert layer.find_statuses(values[order].reshape(7, 1, 2)).ravel().tolist() == expected.tolist()
+        slopes = layer.pull(values[order], {"controls": np.ones((7, 20, 1))})
+        assert (np.isnan(slopes).all(axis=1) == (expected != SMOOTH)).all()
+    with pytest.raises(ProblemError, match="found 0; give a whole number, 1 or more"):
+        problem.differentiable(numbers, threads=0)
+    with pytest.raises(ProblemError, match="7 vectors; give one, or take find_statuses"):
+        layer.find_status(values)
+
+
+def test_a_member_starts_from_the_prediction_in_the_middle() -> None:
+    """Fewer iterations than from the motion alone, to the same optimum; a quadratic program takes one or two."""
+    layer = slide().differentiable(["states.x.end"], ["controls", "cost"])
+    member = layer.solve(np.array([2.0]))
+    assert member.outcome.run.iterations <= 2
+    assert float(layer([2.0])["cost"]) == pytest.approx(48 / (1 - 1 / 400), rel=1e-9)
+    problem = mbsrun.read_problem(MODELS / "track" / "cart_pole.ocp.yaml")
+    assert isinstance(problem, OptimalControl)
+    layer = problem.differentiable(["start.pose.pole", "cost.running[0].weight"], ["cost"])
+    values = layer.values * [1.1, 0.9]
+    there = problem.with_numbers(dict(zip(layer.names, values.tolist(), strict=True)))
+    cold = there.solve(check=False, guess=solve(problem))
+    assert isinstance(cold, Solved)
+    near = layer.solve(values)
+    assert near.outcome.run.iterations < cold.solution.run.iterations
+    assert float(layer(values)["cost"]) == pytest.approx(cold.cost, rel=1e-6)
+
+
 def test_misfits_of_a_layer_are_told_at_once() -> None:
     layer = slide().differentiable(["states.x.end"], ["controls", "cost"])
     with pytest.raises(ProblemError, match="values: no array of numbers"):

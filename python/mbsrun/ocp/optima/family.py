@@ -8,20 +8,24 @@ holds is checked once, by a statement in which all numbers change together.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from mbsrun.ocp.ground.functions import Array
-from mbsrun.ocp.ground.status import ACCEPTABLE, SOLVED
-from mbsrun.ocp.methods import Instance
+from mbsrun.ocp.ground.status import ACCEPTABLE, INVALID, SOLVED
+from mbsrun.ocp.methods import METHODS, Instance, Near, choose
 from mbsrun.ocp.optima.movement import Movement, Numbers
 from mbsrun.ocp.optima.point import find_optimum
 from mbsrun.ocp.optima.questions import Answer
 from mbsrun.ocp.problem.phases import PhasedProblem
+from mbsrun.ocp.solution.solution import Run
 from mbsrun.ocp.solving.judging import Outcome
 from mbsrun.ocp.statement.checks import ProblemError
 
+FEWEST = 20  # iterations of a start with multipliers, at least, before the motion alone is tried
 STRAIGHT = 1e-9  # of a number of the program, over its size
 
 
@@ -60,10 +64,44 @@ class Family:
         x = np.clip(self.answer.movement.optimum.x, lower, upper)
         return replace(middle, x=x, parameters=parameters, lower=lower, upper=upper, g_lower=least, g_upper=most)
 
-    def solve(self, values: Array, x: Array | None = None) -> Member:
-        """Solve at values of the numbers, from the solution in the middle, or from another point."""
+    def solve(self, values: Array) -> Member:
+        """Solve at values of the numbers, from the solution in the middle; values that are not finite have no solve.
+
+        With all multipliers, the first step of Newton's method is the tangential prediction; where that has no
+        solution soon, the motion alone is the start. The result depends on the values alone.
+        """
+        if not np.isfinite(values).all():
+            nowhere = self.place(self.values)
+            return Member(Outcome(Run(INVALID, 0, 0.0, 0.0), nowhere.x, (), None, nowhere), nowhere)
         start = self.place(values)
-        start = start if x is None else replace(start, x=np.clip(x, start.lower, start.upper))
+        if self._near is not None:
+            known = replace(start, near=self._near, most_iterations=self._most_iterations)
+            member = Member(self.answer.solver.run(self.answer.problem, known), start)
+            if member.is_solved:
+                return member
+        return Member(self.answer.solver.run(self.answer.problem, start), start)
+
+    def solve_all(self, rows: Sequence[Array], threads: int = 1) -> list[Member]:
+        """Solve at several vectors of values, on several threads where the method calls no Python."""
+        solver, problem = self.answer.solver, self.answer.problem
+        if threads == 1 or METHODS[choose(solver.choose_method(problem))].calls_casadi:
+            return [self.solve(row) for row in rows]
+        _ = self._near  # found before threads ask for it
+        with ThreadPoolExecutor(threads) as pool:
+            return list(pool.map(self.solve, rows))
+
+    @property
+    def _near(self) -> Near | None:
+        return self._middle.outcome.near if self._middle.is_solved else None
+
+    @property
+    def _most_iterations(self) -> int:
+        return max(FEWEST, self._middle.outcome.run.iterations)
+
+    @cached_property
+    def _middle(self) -> Member:
+        """The solve in the middle again, whose end solves nearby start from."""
+        start = self.place(self.values)
         return Member(self.answer.solver.run(self.answer.problem, start), start)
 
     def differentiate(self, member: Member) -> Movement:

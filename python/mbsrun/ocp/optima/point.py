@@ -32,11 +32,11 @@ from mbsrun.ocp.ground.program import Matrix, Program
 from mbsrun.ocp.methods import Instance
 from mbsrun.ocp.optima.interior import Task
 from mbsrun.ocp.optima.status import CHANGING, DEPENDENT, FLAT, NOT_CONVERGED, SMOOTH
-from mbsrun.ocp.optima.symmetric import Factors
+from mbsrun.ocp.optima.symmetric import Factors, mirror
 from mbsrun.ocp.optima.thinning import thin
 
 WEAK = 1e-8  # a multiplier over the gradient, or a distance over the size, that says nothing
-CLEAR, SURE = 1e-3, 1e-5  # the larger one of a distance and a multiplier, at least; the smaller one, at most
+STRICT = 1e-5  # the larger one of a distance and a multiplier: from here on, their order is beyond doubt
 SMALL = 1e-10  # a step, over the size of a variable, after which Newton's method has ended ...
 ROUNDED = 1e-7  # ... or this, where steps do not become smaller any more
 FAR = 0.1  # a distance from the solution, over the size of a variable: it is another one
@@ -163,6 +163,14 @@ class _Values:
     J: sparse.csr_array
 
 
+@dataclass(frozen=True, eq=False)
+class _System:
+    """The Hessian of the Lagrangian, and the factors of K."""
+
+    hessian: Matrix
+    factors: Factors
+
+
 class _Search:
     def __init__(self, functions: Functions, program: Program, start: Instance, scale: float) -> None:
         self.functions, self.start, self.scale = functions, start, scale
@@ -170,12 +178,14 @@ class _Search:
         self.size = np.maximum(1.0, np.abs(start.x))
 
     def find(self, x: Array, multipliers: Array) -> Optimum:
-        """Run the search; where the answer itself shows the active set beyond doubt, from there."""
+        """Run the search; from the answer itself, where the optimum with its active limits leaves no doubt of them."""
         lam = self.scale * multipliers
-        clear = self._read(x, lam)
-        found = None if clear is None else self._improve(x, lam, clear, self._no_limits)
-        if found is not None and found.status == SMOOTH and found.active.is_same(clear or found.active):
-            return found
+        read = self._read(x, lam)
+        found = None if read is None else self._improve(x, lam, read, self._no_limits)
+        if found is not None and found.status == SMOOTH and found.active.is_same(read or found.active):
+            at = _Values(found.x, found.values, found.gradient, found.jacobian.tocsr())
+            if self._read(found.x, found.multipliers, at) is not None:
+                return found
         begun = self._guess(x, lam)
         if isinstance(begun, str):
             at = self._evaluate(self.start.x)
@@ -208,26 +218,30 @@ class _Search:
         """Solve the equations of an active set by Newton's method, and correct the set."""
         implied = implied or self._no_limits
         at, before, status = self._evaluate(x), np.inf, NOT_CONVERGED
+        last: _System | None = None
         for _ in range(ROUNDS):
-            hessian = self._curve(at.x, lam)
-            factors = Factors(assemble(hessian, at.J, active))
-            if factors.is_singular:
-                return self._end(at, lam, active, weak, DEPENDENT, implied)
-            x, lam = self._step(at, lam, active, hessian, factors)
+            last = self._factorise(at, lam, active)
+            if last.factors.is_singular:
+                return self._end(at, lam, active, weak, DEPENDENT, implied, last)
+            x, lam = self._step(at, lam, active, last)
             step = float((np.abs(x - at.x) / self.size).max(initial=0.0))
             if not np.isfinite(step) or (np.abs(x - self.start.x) / self.size).max(initial=0.0) > LOST:
                 break
             at = self._evaluate(x)
             corrected = self._correct(at, lam, active, weak.together(implied))
             if corrected.is_same(active) and (step <= SMALL or ROUNDED >= step >= 0.1 * before):
-                status = SMOOTH
+                status, last = SMOOTH, last if step <= SMALL else None
                 break
-            active, before = corrected, step
-        return self._end(at, lam, active, weak, status, implied)
+            active, before, last = corrected, step, None
+        return self._end(at, lam, active, weak, status, implied, last if status == SMOOTH else None)
 
-    def _read(self, x: Array, lam: Array) -> Active | None:
-        """Return the active limits where distances and multipliers of the answer differ by far; None elsewhere."""
-        at, limits = self._evaluate(x), self.limits
+    def _factorise(self, at: _Values, lam: Array, active: Active) -> _System:
+        hessian = self._curve(at.x, lam)
+        return _System(hessian, Factors(assemble(hessian, at.J, active)))
+
+    def _read(self, x: Array, lam: Array, at: _Values | None = None) -> Active | None:
+        """Return the active limits where distances or multipliers of a point are large enough; None elsewhere."""
+        at, limits = at or self._evaluate(x), self.limits
         most = float(np.abs(at.c).max(initial=0.0)) or 1.0
         reach, zeta = np.maximum(1.0, np.abs(at.g)), at.c + at.J.T @ lam
         found = [
@@ -245,11 +259,17 @@ class _Search:
         return Active(np.zeros(self.size.size, np.int8), np.zeros(self.limits.least.size, np.int8))
 
     def _end(
-        self, at: _Values, lam: Array, active: Active, weak: Active, status: str, implied: Active | None = None
+        self,
+        at: _Values,
+        lam: Array,
+        active: Active,
+        weak: Active,
+        status: str,
+        implied: Active | None = None,
+        last: _System | None = None,  # at this point, up to rounding
     ) -> Optimum:
-        implied = implied or self._no_limits
-        hessian = self._curve(at.x, lam)
-        factors = Factors(assemble(hessian, at.J, active))
+        implied, last = implied or self._no_limits, last or self._factorise(at, lam, active)
+        hessian, factors = last.hessian, last.factors
         moved = float((np.abs(at.x - self.start.x) / self.size).max(initial=0.0))
         if status == SMOOTH and not moved <= FAR:
             status = NOT_CONVERGED
@@ -341,14 +361,14 @@ class _Search:
         rows[passed & (at.g > limits.most + SMALL * reach)] = 1
         return Active(variables, rows)
 
-    def _step(self, at: _Values, lam: Array, active: Active, hessian: Matrix, factors: Factors) -> tuple[Array, Array]:
+    def _step(self, at: _Values, lam: Array, active: Active, system: _System) -> tuple[Array, Array]:
         """Return the point and the multipliers after a step of Newton's method."""
         free, held, chosen = active.free, active.held, active.chosen
         bounds, limits = self.limits.place(active)
         dx = np.zeros(at.x.size)
         dx[held] = bounds - at.x[held]
-        right = -at.c[free] - (hessian @ dx)[free], limits - at.g[chosen] - (at.J @ dx)[chosen]
-        found = factors.solve(np.concatenate(right))
+        right = -at.c[free] - (system.hessian @ dx)[free], limits - at.g[chosen] - (at.J @ dx)[chosen]
+        found = system.factors.solve(np.concatenate(right))
         dx[free] = found[: free.size]
         new = np.zeros(lam.size)
         new[chosen] = found[free.size :]
@@ -366,15 +386,21 @@ def _judge(factors: Factors, active: Active, weak: Active) -> str:
 
 def complete(upper: Matrix) -> Matrix:
     """Return the whole of a symmetric matrix of which the upper triangle is given."""
-    return Matrix(upper + sparse.triu(upper, 1).T)
+    return Matrix(mirror(upper))
 
 
 def assemble(hessian: Matrix, J: sparse.csr_array, active: Active) -> Matrix:
     """Return the lower triangle of K."""
     free, chosen = active.free, active.chosen
-    H = sparse.tril(hessian.tocsr()[free][:, free])
-    corner = sparse.csc_array((chosen.size, chosen.size))
-    return Matrix(sparse.block_array([[H, None], [J[chosen][:, free], corner]]))
+    size = free.size + chosen.size
+    variables, rows = np.full(hessian.shape[0], -1), np.full(J.shape[0], -1)
+    variables[free], rows[chosen] = np.arange(free.size), np.arange(free.size, size)
+    curved, sloped = hessian.tocoo(), J.tocoo()
+    row = np.concatenate((variables[curved.row], rows[sloped.row]))
+    col = np.concatenate((variables[curved.col], variables[sloped.col]))
+    kept = (col >= 0) & (row >= col)
+    entries = np.concatenate((curved.data, sloped.data))[kept]
+    return Matrix(sparse.csc_array((entries, (row[kept], col[kept])), shape=(size, size)))
 
 
 def _choose(below: tuple[Array, Array], above: tuple[Array, Array], size: Array, most: float) -> tuple[Sides, Sides]:
@@ -397,7 +423,7 @@ def _separate(values: Array, lower: Array, upper: Array, force: Array, size: Arr
     for sign, limits in ((-1, lower), (1, upper)):
         open_ = np.isfinite(limits) & (lower < upper)
         s, z = np.abs(values - limits)[open_] / size[open_], np.maximum(0.0, -sign * force[open_])
-        if ((s < CLEAR) & (z < CLEAR)).any() or ((s > SURE) & (z > SURE)).any():
+        if (np.maximum(s, z) < STRICT).any():
             return None
         sides[np.flatnonzero(open_)[z > s]] = sign
     sides[lower == upper] = 2

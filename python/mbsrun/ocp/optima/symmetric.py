@@ -71,15 +71,13 @@ class Factors:
     def __init__(self, lower: Matrix, zero: float = ZERO) -> None:
         """Factorise. Entries of the lower triangle, each once; pivots up to `zero` are none. Raises CompileError."""
         self.size = lower.shape[0]
-        self._whole = sparse.csr_array(lower + sparse.tril(lower, -1).T)
+        self._whole = sparse.csr_array(mirror(lower))
         self._scales = _find_scales(self._whole)
-        diagonal = sparse.coo_array((np.zeros(self.size), (np.arange(self.size),) * 2), shape=lower.shape)
-        entries = lower.tocoo()
-        row = np.concatenate((entries.row, diagonal.row))
-        col = np.concatenate((entries.col, diagonal.col))
-        data = np.concatenate((entries.data * self._scales[entries.row] * self._scales[entries.col], diagonal.data))
+        entries, diagonal = lower.tocoo(), np.arange(self.size)
+        row, col = (np.concatenate((part, diagonal)).astype(np.int64) for part in (entries.row, entries.col))
+        scaled_data = entries.data * self._scales[entries.row] * self._scales[entries.col]
+        data = np.concatenate((scaled_data, np.zeros(self.size)))
         scaled = sparse.coo_array((data, (row, col)), shape=lower.shape).tocsc()
-        scaled.sum_duplicates()
         start, rows = scaled.indptr.astype(np.int32), scaled.indices.astype(np.int32)
         self._library, self._settings, self._report = _load(), _Settings(), _Report()
         self._library.ma97_default_control_d(ctypes.byref(self._settings))
@@ -137,6 +135,15 @@ class Factors:
 
     def _by(self, name: str) -> object:
         return ctypes.byref(getattr(self, f"_{name}"))
+
+
+def mirror(triangle: Matrix) -> sparse.csc_array:
+    """Return the whole of a symmetric matrix of which a triangle is given."""
+    entries = triangle.tocoo()
+    off = entries.row != entries.col
+    row, col = np.concatenate((entries.row, entries.col[off])), np.concatenate((entries.col, entries.row[off]))
+    data = np.concatenate((entries.data, entries.data[off]))
+    return sparse.csc_array((data, (row, col)), shape=triangle.shape)
 
 
 def _release(library: ctypes.CDLL, pattern: ctypes.c_void_p, factors: ctypes.c_void_p) -> None:
