@@ -288,6 +288,8 @@ class _Writing:
 
     def _add_given(self, wrench: Wrench, given: list[Given]) -> None:
         """Add a wrench with components that the model gives, unless all are 0."""
+        if wrench.against is not None:  # its axes turn with another body
+            return
         parts = [("", "", "") if v is None else self._write_triple(v) for v in (wrench.force, wrench.moment)]
         if not any(map(any, parts)):
             return

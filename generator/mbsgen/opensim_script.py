@@ -1,9 +1,11 @@
 """OpenSim's numbers of a model at some states: a script for a Python that has OpenSim. It imports nothing of mbsgen.
 
-It reads JSON from stdin: `file`, and `states` of coordinates `q`, speeds `u` and accelerations `udot` by name. It
+It reads JSON from stdin: `file`, and `states` of coordinates `q`, speeds `u` and accelerations `udot` by name, and of
+`controls`, a list for each actuator that is no muscle. It
 prints JSON: `names` of coordinates; for each state `M` and `tau` in their order, `bodies` and `markers` by their places
 in the ground, and `paths`: lengths, rates and moment arms of all muscles and springs. Forces act only if they are
-passive ones of coordinates, contacts, ligaments, or forces between two points: `acting` lists the last two.
+passive ones of coordinates, contacts, ligaments, bushings, forces between two points, or actuators of bodies: `acting`
+lists these, without forces of coordinates and contacts.
 """
 
 from __future__ import annotations
@@ -13,7 +15,21 @@ import json
 import sys
 from typing import Any
 
-LINES = ("Ligament", "Blankevoort1991Ligament", "PointToPointSpring", "ExpressionBasedPointToPointForce")
+LINES = (
+    "Ligament",
+    "Blankevoort1991Ligament",
+    "PointToPointSpring",
+    "ExpressionBasedPointToPointForce",
+    "PointToPointActuator",
+    "PathActuator",
+    "BushingForce",
+    "FunctionBasedBushingForce",
+    "ExpressionBasedBushingForce",
+    "TorqueActuator",
+    "PointActuator",
+    "BodyActuator",
+    "PrescribedForce",
+)
 CONTACTS = ("SmoothSphereHalfSpaceForce", "HuntCrossleyForce")
 ACTING = ("SpringGeneralizedForce", "CoordinateLimitForce", "ExpressionBasedCoordinateForce", *CONTACTS, *LINES)
 ALONG = ("Muscle", "PathSpring", "PathActuator", "Ligament", "Blankevoort1991Ligament")
@@ -66,6 +82,7 @@ class Peer:
             state.updU()[place] = given["u"].get(name, 0.0)
             udot[place] = given["udot"].get(name, 0.0)
         model.realizeVelocity(state)
+        self._control(given.get("controls", {}))
         M = osim.Matrix()
         model.getMatterSubsystem().calcM(state, M)
         tau = osim.InverseDynamicsSolver(model).solve(state, udot)
@@ -76,6 +93,15 @@ class Peer:
             "markers": {name: _read(marker.getLocationInGround(state)) for name, marker in _list(model.getMarkerSet())},
             "paths": {name: self._measure(path, given["along"]) for name, path in self.paths.items()},
         }
+
+    def _control(self, given: dict[str, list[float]]) -> None:
+        """Set the controls of actuators; all others are 0."""
+        controls = self.osim.Vector(self.model.getNumControls(), 0.0)
+        for name, values in given.items():
+            actuator = self.osim.Actuator.safeDownCast(self.model.getForceSet().get(name))
+            if actuator is not None:
+                actuator.setControls(self.osim.Vector(values), controls)
+        self.model.setControls(self.state, controls)
 
     def _measure(self, force: Any, along: list[dict[str, float]]) -> dict[str, Any]:
         """Return the length of a path, its rate, and its rate along other speeds."""

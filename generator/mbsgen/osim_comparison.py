@@ -32,6 +32,7 @@ from mbsgen.formulations.reductions import ALL
 from mbsgen.importing import Choices, Imported, import_model
 from mbsgen.model.changes.reduction import build_tree
 from mbsgen.model.following import list_joints
+from mbsgen.model.model import Wrench
 from mbsgen.procedure.procedure import straight
 from mbsgen.roles import Role
 from mbsgen.tape.types import Tape
@@ -67,6 +68,7 @@ class State:
     slopes: Array  # of q by the free joints
     given: Mapping[str, Mapping[str, float]]
     theirs: Array  # derivatives of the file's coordinates by the free joints, with OpenSim's speeds
+    signals: Mapping[str, float]  # of all forces that are no muscles
 
 
 Ask = Callable[[Path, Sequence[State]], Any]  # the answer of the script
@@ -126,11 +128,21 @@ class _Motion:
         oblique = {x.name for x in model.forces if any(not wrap.is_sphere for wrap in x.wraps)}
         self._round = np.array([name in oblique for name in self.elements], dtype=bool)
         self._tapes: dict[str, Tape] = {}
+        reads: dict[str, set[str]] = {}
+        for name, read in [
+            *((x.name, x.reads) for x in model.forces if x.muscle is None),
+            *((x.name, find_names(x)) for x in model.wrenches),
+        ]:
+            reads.setdefault(imported.labels[name], set()).update(read)
+        self._driven = {name: own for name, x in reads.items() if (own := [s for s in model.signals if s in x])}
+        self.signals = [*dict.fromkeys(signal for own in self._driven.values() for signal in own)]
 
     def let_act(self, acting: Sequence[str]) -> None:
         """Take only these lines of the file for inverse dynamics."""
-        kept = tuple(x for x in self._opened.forces if self.imported.labels[x.name] in acting)
-        self._bare = build_tree(replace(self._opened, forces=kept, signals=()))
+        label = self.imported.labels
+        kept = tuple(x for x in self._opened.forces if label[x.name] in acting)
+        pushes = tuple(x for x in self._opened.wrenches if label[x.name] in acting)
+        self._bare = build_tree(replace(self._opened, forces=kept, wrenches=pushes))
 
     def draw(self, rng: np.random.Generator) -> State:
         """Draw a state."""
@@ -148,8 +160,10 @@ class _Motion:
         rows = {"q": theirs[0], "u": E @ theirs[1], "udot": E @ theirs[2] + Ed @ theirs[1]}
         given: dict[str, Any] = {key: dict(zip(labels, map(float, row), strict=True)) for key, row in rows.items()}
         others = E @ others
+        drawn = dict(zip(self.signals, rng.uniform(-1, 1, len(self.signals)).tolist(), strict=True))
+        given["controls"] = {name: [drawn[x] for x in read] for name, read in self._driven.items()}
         given["along"] = [dict(zip(labels, map(float, column), strict=True)) for column in others.T]
-        return State(*ours, slopes, given, others)
+        return State(*ours, slopes, given, others, drawn)
 
     def _limit(self, name: str) -> tuple[float, float]:
         """Return the bounds of a free joint's random coordinates: within its range, if it has one."""
@@ -164,6 +178,7 @@ class _Motion:
     def compare(self, state: State, labels: Sequence[str], result: Mapping[str, Any]) -> dict[str, tuple[Array, Array]]:
         """Return pairs of our numbers and OpenSim's."""
         own = [labels.index(x.name) for x in self.imported.coordinates]
+        w = np.array([state.signals.get(name, 0.0) for name in self._bare.signals])
         at = {"q": state.q, "qd": state.qd, "qdd": state.qdd}
         M, tau = np.array(result["M"])[np.ix_(own, own)], np.array(result["tau"])[own]
         found = {
@@ -171,7 +186,7 @@ class _Motion:
                 state.slopes.T @ self._compute(self._tape(_MASS), at)["M"] @ state.slopes,
                 state.theirs.T @ M @ state.theirs,
             ),
-            "tau": (state.slopes.T @ self._compute(self._tape(REFERENCE), at)["Phi"], state.theirs.T @ tau),
+            "tau": (state.slopes.T @ self._compute(self._tape(REFERENCE), {**at, "w": w})["Phi"], state.theirs.T @ tau),
         }
         frames = self.imported.model.frames
         if frames:
@@ -258,6 +273,11 @@ class _Motion:
                 [0, ca * ad, -sa * cb * ad - ca * sb * bd],
             ]
         return E, Ed
+
+
+def find_names(wrench: Wrench) -> set[str]:
+    """Return the names that a wrench reads."""
+    return {name for vector in (wrench.force, wrench.moment) for x in vector or () for name in names(x)}
 
 
 def ask_opensim(path: Path, states: Sequence[State]) -> Any:

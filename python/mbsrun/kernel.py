@@ -49,12 +49,15 @@ class Place:
     status: int
     length: str | None = None  # a force element whose points meet
     spheres: str | None = None  # a contact of two spheres whose centres coincide
+    wrench: str | None = None  # between frames turned by a quarter about the middle axis
 
     def __str__(self) -> str:
         if self.length is not None:
             return f"force element {self.length}, whose points meet: it has no direction there"
         if self.spheres is not None:
             return f"contact {self.spheres}, whose centres coincide: it has no direction there"
+        if self.wrench is not None:
+            return f"wrench {self.wrench}, whose middle turn is a quarter: the other two have no values there"
         named = (("joint", self.joint), ("loop", self.loop))
         return next((f"{kind} {name}" for kind, name in named if name is not None), f"number {self.status}")
 
@@ -67,8 +70,11 @@ def find_place(manifest: Manifest, status: int) -> Place:
     """
     if status >= FIRST_LENGTH:
         name = next(iter(manifest.lengths[status - FIRST_LENGTH :]), None)
-        is_contact = name in manifest.contacts
-        return Place(None, None, status, None if is_contact else name, name if is_contact else None)
+        if name in manifest.contacts:
+            return Place(None, None, status, spheres=name)
+        if name is not None and {name, name.rpartition(".")[0]}.isdisjoint(manifest.elements):
+            return Place(None, None, status, wrench=name)
+        return Place(None, None, status, length=name)
     joints, loops = ([x.name for x in entries] for entries in (manifest.coordinates, manifest.loops))
     n = len(joints)
     joint = joints[status - 1] if 0 < status <= n else None

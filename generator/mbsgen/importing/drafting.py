@@ -16,7 +16,7 @@ import numpy as np
 
 from mbsgen.documents import Data, Place, abbreviate, nearest, take
 from mbsgen.errors import Fault
-from mbsgen.expressions import FLOATS, Call, Expression, Name, Number, Operation, evaluate, is_free_name, spell
+from mbsgen.expressions import FLOATS, Call, Expression, Name, Number, Operation, evaluate, is_free_name, names, spell
 from mbsgen.importing.choices import Choices, Imported, MasslessError
 from mbsgen.importing.closing import Closing, Closure, Equation, Rule, Spot, Term
 from mbsgen.importing.findings import Findings
@@ -193,6 +193,7 @@ class Draft:
     _called: dict[str, str] = field(default_factory=dict)  # file name of a joint -> its name in the model
     _names: dict[str, set[str]] = field(default_factory=dict)
     _forces: list[tuple[ForceElement, Element]] = field(default_factory=list)
+    _pushes: list[tuple[Wrench, Element]] = field(default_factory=list)  # that the file gives
     _reaches: list[tuple[Stop, Reach, tuple[str, ...], Element]] = field(default_factory=list)
     _contacts: list[Contact] = field(default_factory=list)
     _signals: list[str] = field(default_factory=list)
@@ -271,6 +272,13 @@ class Draft:
         self._forces.append((element, source))
         self._signals += signals
 
+    def add_wrench(self, wrench: Wrench, signals: Sequence[str], source: Element) -> None:
+        """Add a wrench, and the signals that it reads."""
+        own = self._choose_name("frame", wrench.name, source)
+        self._labels[own] = wrench.name
+        self._pushes.append((replace(wrench, name=own), source))
+        self._signals += signals
+
     def add_contact(self, contact: Contact, source: Element) -> None:
         """Add a contact with a plane, under a name that no other has."""
         self._contacts.append(replace(contact, name=self._choose_name("contact", contact.name, source)))
@@ -334,7 +342,7 @@ class Draft:
             gravity=write_triple(self.choices.gravity or gravity),
             bodies=tuple(self.bodies),
             frames=tuple(self.frames),
-            wrenches=tuple(self._wrenches),
+            wrenches=(*(wrench for wrench, _ in self._pushes), *self._wrenches),
             forces=tuple(element for element, _ in self._forces),
             signals=tuple(dict.fromkeys(self._signals)),
             allow_unphysical=not allowed,
@@ -361,8 +369,18 @@ class Draft:
                 self.findings.tell(source, "its points do not move relative to each other: left out")
         self._forces = kept
         read = frozenset[str]().union(*(x.reads for x, _ in kept))
+        pushes = []
+        for wrench, source in self._pushes:
+            other = BASE if wrench.against is None else wrench.against.body
+            if carriers.get(wrench.body) != carriers.get(other):
+                pushes.append((wrench, source))
+                read = read.union(*map(names, (*(wrench.force or ()), *(wrench.moment or ()))))
+            else:
+                self.findings.tell(source, "it acts on nothing that moves: left out")
+        self._pushes = pushes
         signals = tuple(name for name in model.signals if name in read)
-        return replace(model, forces=tuple(element for element, _ in kept), signals=signals)
+        wrenches = (*(wrench for wrench, _ in pushes), *self._wrenches)
+        return replace(model, forces=tuple(element for element, _ in kept), wrenches=wrenches, signals=signals)
 
     # --- parts -------------------------------------------------------------------------------------------------------
 
@@ -663,6 +681,8 @@ class Draft:
                 return self.closing.closures[i].source
             case ("forces", int(i), *_):
                 return self._forces[i][1]
+            case ("wrenches", int(i), *_) if i < len(self._pushes):
+                return self._pushes[i][1]
             case ("constraints", int(i), *_):
                 return self._equations[i].source
         return None

@@ -236,12 +236,21 @@ def wrench(
     frame: Literal["base", "body"] = "base",
     force: Vector | Literal["input"] = _ORIGIN,
     moment: Vector | Literal["input"] = _ORIGIN,
+    orientation: Turns = (),
+    against: LoopEnd | None = None,
+    about: Literal["axes", "turns"] = "axes",
 ) -> Wrench:
-    """Make an external force and moment on a body, with components in the base's frame or in the body's."""
+    """Make an external force and moment on a body, with components in the base's frame or in the body's.
+
+    With `against`, its components are along the axes of that frame, whose body has the opposite.
+    """
     if frame not in ("base", "body"):
         raise WrongValueError(f"found {_show(frame)}", "give base or body")
+    if about not in ("axes", "turns"):
+        raise WrongValueError(f"found {_show(about)}", "give axes or turns")
     given = (None if isinstance(v, str) and v == "input" else vector(v) for v in (force, moment))
-    return Wrench(name, body, vector(position), frame == "base", *given)
+    at = _place(position, orientation)
+    return Wrench(name, body, at.position, frame == "base", *given, at.orientation, against, about == "turns")
 
 
 def end(body: str, *, position: Vector = _ORIGIN, orientation: Turns = ()) -> LoopEnd:

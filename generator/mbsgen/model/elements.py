@@ -67,7 +67,7 @@ Nonlinear Dyn. 11, 2016, compare such laws); a body at rest on a slope creeps.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import combinations
@@ -76,6 +76,7 @@ from sympy import DiracDelta, Expr, Integer, Mul, Symbol, asin, sign, sqrt
 
 from mbsgen.expressions import Expression, Name, names, parse
 from mbsgen.model import model
+from mbsgen.model.bushings import NAMES, UNIT, Between, Seen
 from mbsgen.model.contact_laws import SphereLaw
 from mbsgen.model.model import LENGTH, LENGTH_RATE, Block, Capsule, Contact, ForceElement, Sphere, Stop, press
 from mbsgen.model.quantities import name_lengths
@@ -181,6 +182,7 @@ class Surface:
         return self.first <= first and last <= self.last
 
 
+Frame = tuple[Anchor, Sequence[Vector]]  # a frame on a body: its origin and its axes, in the body's frame
 Define = Callable[[str, Vector], Vector]  # gives a vector that two forces share a name
 
 
@@ -309,6 +311,49 @@ class Loads:
             pull = self._define(name, "pull", self._tension(element, length, rate) / length)
             self._lines[name] = _Line(length, rate, partial(self._pull_ends, first, second, scale(1 / length, d)))
         self._pull_ends(first, second, d, name, pull, partial(self._define_vector, name))
+
+    def add_between(self, wrench: model.Wrench, first: Frame, second: Frame) -> None:
+        """Add a wrench between two frames: it acts at the second one, and its opposite on the first one's body."""
+        name, defined = wrench.name, dict[str, Expr]()
+        assert wrench.force is not None, "it is no input"
+        assert wrench.moment is not None, "it is no input"
+
+        def define(key: str, value: Expr, length: Length | None = None) -> Expr:
+            if key not in defined:
+                symbol = Symbol(f"wrench[{name}] {key}", real=True)
+                self.definitions.append(Definition(symbol, value, length))
+                defined[key] = symbol
+            return defined[key]
+
+        def guard(key: str, value: Expr) -> Expr:
+            return define(key, value, Length(name, UNIT))
+
+        between = Between(self._look(name, "from", first), self._look(name, "at", second), define, guard)
+        read = frozenset[str]().union(*map(names, (*wrench.force, *wrench.moment)))
+        own = between.list_shifts()
+        if wrench.by_turns or not read.isdisjoint(NAMES[6:]):
+            own |= between.list_turns()
+        force, moment = (_vector(self._read(x, own) for x in v) for v in (wrench.force, wrench.moment))
+        F = between.sum_along(force)
+        M = between.sum_moment(moment) if wrench.by_turns else between.sum_along(moment)
+        F, M = (
+            _vector(define(f"{key}.{axis}", x) for axis, x in zip("xyz", v, strict=True))
+            for key, v in (("F", F), ("M", M))
+        )
+        self._act(name, second[0], F, M)
+        self._act(name, first[0], scale(-1, F), subtract(cross(F, between.arm), M))
+
+    def _look(self, name: str, key: str, frame: Frame) -> Seen:
+        """Probe a frame."""
+        anchor, axes = frame
+        place, velocity, spin = (
+            self._probe(name, f"{key} {x.value}", x, anchor) for x in (Reading.POSITION, Reading.VELOCITY, Reading.SPIN)
+        )
+        x, y, z = (
+            self._probe(name, f"{key} {k}", Reading.DIRECTION, Anchor(anchor.body, a))
+            for k, a in zip("xyz", axes, strict=True)
+        )
+        return Seen(place, velocity, spin, (x, y, z))
 
     def _pull_ends(self, first: Anchor, second: Anchor, way: Vector, name: str, tension: Expr, define: Define) -> None:
         """Pull two points together, by multiples of the way from the first to the second."""
@@ -768,6 +813,11 @@ def _symbolize(name: str, key: str, reading: Reading, axis: str) -> Symbol:
 def _differentiate(x: Expr, symbol: Symbol) -> Expr:
     """Differentiate a number; at a jump, which no number of a file has, its slope is taken as that beside it."""
     return x.diff(symbol).replace(DiracDelta, lambda *_: ZERO)
+
+
+def _vector(components: Iterable[Expr]) -> Vector:
+    x, y, z = components
+    return x, y, z
 
 
 def _combine(factors: Sequence[Expr], vectors: Sequence[Vector]) -> Vector:

@@ -296,6 +296,14 @@ class Wrench:
     in_base: bool = True  # components in the base's frame; else in the body's
     force: Triple | None = ORIGIN  # [N]; None: three numbers of the input w
     moment: Triple | None = ORIGIN  # [N m]; None: three more
+    orientation: tuple[Rotation, ...] = ()  # of its frame in the body's, seen from `against`
+    against: LoopEnd | None = None  # the frame along whose axes it acts, with the opposite on that body
+    by_turns: bool = False  # the moment is about the turns x, y, z from that frame to its own; else about its axes
+
+    @property
+    def placement(self) -> Placement:
+        """Return the place of its frame in the body's."""
+        return Placement(self.position, self.orientation)
 
 
 @dataclass(frozen=True)

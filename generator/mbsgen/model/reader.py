@@ -190,6 +190,9 @@ def _make_wrench(section: schema.WrenchSection) -> Wrench:
         in_base=section.frame == "base",
         force=_read_components(section.force),
         moment=_read_components(section.moment),
+        orientation=section.placement.orientation,
+        against=None if section.against is None else section.against.end,
+        by_turns=section.about == "turns",
     )
 
 

@@ -55,6 +55,9 @@ def check_tree(model: Model, doubtful: Container[Place]) -> Iterator[Finding]:
     parents: list[tuple[Place, str]] = [(("bodies", i, "parent"), b.parent) for i, b in enumerate(model.bodies)]
     carriers: list[tuple[Place, str]] = [(("frames", i, "body"), f.body) for i, f in enumerate(model.frames)]
     carriers += [(("wrenches", i, "body"), wrench.body) for i, wrench in enumerate(model.wrenches)]
+    carriers += [
+        (("wrenches", i, "against", "body"), x.against.body) for i, x in enumerate(model.wrenches) if x.against
+    ]
     ends = [(i, key, end) for i, x in enumerate(model.loops) for key, end in (("from", x.first), ("to", x.second))]
     carriers += [(("loops", i, key, "body"), end.body) for i, key, end in ends]
     spans = [(i, key, end) for i, x in enumerate(model.forces) for key, end in (("from", x.first), ("to", x.second))]

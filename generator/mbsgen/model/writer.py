@@ -253,9 +253,13 @@ def _write_frame(frame: Frame) -> Mapped:
 
 def _write_wrench(wrench: Wrench) -> Mapped:
     content: Mapped = {"name": _quote(wrench.name), "body": _quote(wrench.body)}
-    if wrench.position != ORIGIN:
-        content["position"] = _write_triple(wrench.position)
-    content["frame"] = "base" if wrench.in_base else "body"
+    content |= _write_placement(wrench.placement)
+    if wrench.against is None:
+        content["frame"] = "base" if wrench.in_base else "body"
+    else:
+        content["against"] = _write_end(wrench.against)
+    if wrench.by_turns:
+        content["about"] = "turns"
     for key, vector in (("force", wrench.force), ("moment", wrench.moment)):
         if vector != ORIGIN:
             content[key] = "input" if vector is None else _write_triple(vector)

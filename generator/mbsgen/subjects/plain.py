@@ -30,6 +30,7 @@ from mbsgen.model.model import (
     Placement,
     Visual,
     Wrap,
+    Wrench,
 )
 from mbsgen.model.model import Triple as Position
 from mbsgen.subjects.osim import Masses, Triple, scale_moments
@@ -48,7 +49,7 @@ def scale_model(model: Model, factors: Mapping[str, Triple], masses: Masses) -> 
         model,
         bodies=bodies,
         frames=tuple(replace(x, placement=_move(x.placement, _of(factors, x.body))) for x in model.frames),
-        wrenches=tuple(replace(x, position=_stretch(x.position, _of(factors, x.body))) for x in model.wrenches),
+        wrenches=tuple(_scale_wrench(x, factors) for x in model.wrenches),
         forces=tuple(_scale_line(x, factors, values) for x in model.forces),
         contacts=tuple(_scale_contact(x, factors) for x in model.contacts),
     )
@@ -189,6 +190,13 @@ def _scale_wrap(wrap: Wrap, factors: Triple, values: Mapping[str, float]) -> Wra
     around = float(along.mean() if wrap.is_sphere else along[:2].mean())
     length = None if wrap.length is None else _times(wrap.length, float(along[2]))
     return replace(wrap, placement=_move(wrap.placement, factors), radius=_times(wrap.radius, around), length=length)
+
+
+def _scale_wrench(wrench: Wrench, factors: Mapping[str, Triple]) -> Wrench:
+    other = wrench.against
+    if other is not None:
+        other = replace(other, placement=_move(other.placement, _of(factors, other.body)))
+    return replace(wrench, position=_stretch(wrench.position, _of(factors, wrench.body)), against=other)
 
 
 def _scale_contact(contact: Contact, factors: Mapping[str, Triple]) -> Contact:

@@ -223,8 +223,8 @@ def test_what_is_left_out_is_named_with_its_line(tmp_path: Path) -> None:
         "Schutte1993Muscle_Deprecated",
         "Millard2012AccelerationMuscle",
         "HuntCrossleyForce",
-        "BushingForce",
-        "TorqueActuator",
+        "SpatialForce",
+        "ClutchedPathSpring",
         "MyForce",
     )
     forces = "\n".join(f'<{name} name="x{k}"><points>1</points></{name}>' for k, name in enumerate(names))

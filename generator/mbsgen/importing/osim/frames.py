@@ -72,6 +72,12 @@ class Frames:
         self.findings.fault(source if element is None else element, found, remedy)
         return None
 
+    def find_named(self, owner: Element, tag: str) -> Mount | None:
+        """Find the body that a child of an element names, by its name or its path; a fault where there is none."""
+        child = owner.first(tag)
+        is_path = child is not None and "/" in child.text
+        return self.find(child, owner) if is_path else self.find_body(child, owner)
+
     def find(self, element: Element | None, owner: Element) -> Mount | None:
         """Find the frame that an element of version 4 names in a component; a fault where there is none."""
         if element is None or not element.text:

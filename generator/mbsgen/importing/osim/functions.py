@@ -101,9 +101,11 @@ def write_over(amount: Sum) -> Expression:
     return total
 
 
-def read_formula(element: Element, meanings: Mapping[str, str], findings: Findings) -> Expression | None:
+def read_formula(
+    element: Element, meanings: Mapping[str, str], findings: Findings, tag: str = "expression"
+) -> Expression | None:
     """Read the <expression> of a force over some names, which stand for others; None with a warning."""
-    child = element.first("expression")
+    child = element.first(tag)
     text = "0" if child is None else "".join(child.text.split())
     unknown = sorted({*_CALLS.findall(text)} - {*_FORMULA})
     try:

@@ -36,6 +36,7 @@ from mbsgen.expressions import (
     is_free_name,
     parse,
     substitute,
+    write,
 )
 from mbsgen.importing.closing import X
 from mbsgen.importing.findings import Findings
@@ -62,7 +63,8 @@ LIGAMENT, BLANKEVOORT, PATH_ACTUATOR = "Ligament", "Blankevoort1991Ligament", "P
 PASSIVE = (PATH_SPRING, LIGAMENT, BLANKEVOORT)
 PATHS = (*MUSCLES, *PASSIVE, PATH_ACTUATOR)
 POINT_SPRING, POINT_FORCE = "PointToPointSpring", "ExpressionBasedPointToPointForce"
-PAIRS = (POINT_SPRING, POINT_FORCE)  # between two points
+POINT_ACTUATOR = "PointToPointActuator"
+PAIRS = (POINT_SPRING, POINT_FORCE, POINT_ACTUATOR)  # between two points
 POINTS = ("PathPoint", "ConditionalPathPoint", "MovingPathPoint")
 SURFACES = ("WrapCylinder", "WrapSphere")
 SIDES = ("x", "-x", "y", "-y", "z", "-z")
@@ -356,17 +358,28 @@ class Paths:
         if not is_on(element):
             self.findings.tell(element, "it is switched off in the file: left out")
             return None
-        ends = [self._find_end(element, k) for k in (1, 2)]
+        name = element.attributes.get("name", "") or element.tag
         read = self.frames.read_vector
-        points = [Point(mount, read(element, f"point{k}")) for k, mount in enumerate(ends, 1) if mount]
+        if element.tag == POINT_ACTUATOR:
+            ends = [self.frames.find_named(element, f"body{k}") for k in "AB"]
+            points = [Point(mount, read(element, f"point{k}")) for k, mount in zip("AB", ends, strict=True) if mount]
+        else:
+            ends = [self._find_end(element, k) for k in (1, 2)]
+            points = [Point(mount, read(element, f"point{k}")) for k, mount in enumerate(ends, 1) if mount]
         if len(points) < 2:
             return None
+        if element.tag == POINT_ACTUATOR:
+            if _is_true(element, "points_are_global"):
+                self.findings.warn(element, "its points are in the ground's frame, which is not read: left out")
+                return None
+            signal = spell_signal(name)
+            push = Operation("*", Number(-self._number(element, "optimal_force", 1.0)), Name(signal))
+            return Line(name, element, tuple(points), (), parse(write(push)), driven=signal)
         if element.tag == POINT_SPRING:
             given = {"k": self._number(element, "stiffness", 1.0), "rest": self._number(element, "rest_length", 0.0)}
             law: Expression | None = substitute(_LINEAR, {key: Number(x) for key, x in given.items()})
         else:
             law = read_formula(element, {"d": LENGTH, "ddot": LENGTH_RATE}, self.findings)
-        name = element.attributes.get("name", "") or element.tag
         return None if law is None else Line(name, element, tuple(points), (), law)
 
     def _find_end(self, element: Element, k: int) -> Mount | None:

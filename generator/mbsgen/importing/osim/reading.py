@@ -43,11 +43,12 @@ from mbsgen.importing.osim.joints import (
     list_coordinates,
 )
 from mbsgen.importing.osim.muscles import MUSCLES, PAIRS, PATHS, SHAPES, Line, Paths, Point, Surface
+from mbsgen.importing.osim.pushes import PUSHES, Push, Pushes, turn_triple
 from mbsgen.importing.osim.vocabulary import VOCABULARY
 from mbsgen.importing.poses import ORIGIN, Pose, write_axis, write_triple
 from mbsgen.importing.solids import NOTHING, Solid
 from mbsgen.importing.vocabulary import survey
-from mbsgen.model.model import BASE, Contact, PathPoint, Plane, Presence, Sphere, Wrap
+from mbsgen.model.model import BASE, Contact, LoopEnd, PathPoint, Plane, Presence, Sphere, Wrap, Wrench
 from mbsgen.model.model import ORIGIN as MODEL_ORIGIN
 from mbsgen.model.tree import Cut
 
@@ -134,6 +135,7 @@ class _File:
         self._held: dict[str, float] = {}
         self._forces = Forces(findings)
         self._lines: list[Line] = []  # muscles and springs along paths
+        self._pushes: list[Push] = []
         self._own: dict[str, str] = {GROUND: BASE}  # bodies of the model, by name in the file
         self._inner: dict[str, Pose] = {GROUND: ORIGIN}  # poses of the file's frames of bodies in the model's
         self._roots: dict[str, str] = {BASE: BASE}  # bodies of the model that do not move relative to others, by these
@@ -160,6 +162,8 @@ class _File:
         found = [paths.read(x) for x in self._list("ForceSet") if x.tag in PATHS]
         found += [paths.read_pair(x) for x in self._list("ForceSet") if x.tag in PAIRS]
         self._lines = [line for line in found if line is not None]
+        pushing = Pushes(self._frames, self._findings, self._find_end)
+        self._pushes = [each for x in self._list("ForceSet") if x.tag in PUSHES for each in pushing.read(x)]
         touching = Touching(self._model, self._frames, self._findings)
         touches = [each for x in self._list("ForceSet") if x.tag in CONTACTS for each in touching.read(x)]
         couplers = [x for x in self._list("ConstraintSet") if x.tag == "CoordinateCouplerConstraint" and self._acts(x)]
@@ -191,6 +195,8 @@ class _File:
             self._add_marker(marker, mount)
         for line in self._lines:
             self._add_line(line)
+        for push in self._pushes:
+            self._add_push(push)
         for touch in touches:
             self._add_contact(touch)
         self._tell_muscles()
@@ -648,7 +654,30 @@ class _File:
     @property
     def _is_driven(self) -> bool:
         """Return whether muscles or other actuators along paths move the model."""
-        return any(line.signals for line in self._lines)
+        return any(x.signals for x in (*self._lines, *self._pushes))
+
+    def _add_push(self, push: Push) -> None:
+        """Add a wrench at a frame, or between two."""
+        here = self._inner[push.mount.body] @ push.mount.pose
+        at = self._draft.writer.placement(here)
+        force, moment, against = push.force, push.moment, None
+        if push.against is not None:
+            there = self._inner[push.against.body] @ push.against.pose
+            against = LoopEnd(self._own[push.against.body], self._draft.writer.placement(there))
+        elif not push.in_base:
+            force, moment = (turn_triple(here.rotation, x) for x in (force, moment))
+        wrench = Wrench(
+            push.name,
+            self._own[push.mount.body],
+            at.position,
+            push.in_base or against is not None,
+            force,
+            moment,
+            at.orientation if against is not None else (),
+            against,
+            push.by_turns,
+        )
+        self._draft.add_wrench(wrench, push.signals, push.element)
 
     # --- contacts ----------------------------------------------------------------------------------------------------
 

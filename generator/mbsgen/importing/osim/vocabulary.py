@@ -10,6 +10,8 @@ from mbsgen.importing.osim.forces import ACTUATORS, FORMULA, LIMIT, SPRING
 from mbsgen.importing.osim.functions import FUNCTIONS
 from mbsgen.importing.osim.joints import JOINTS
 from mbsgen.importing.osim.muscles import PAIRS, PATHS, POINTS, SHAPES, SURFACES
+from mbsgen.importing.osim.pushes import CURVES, FORMULAS, NUMBERS, PUSHES
+from mbsgen.importing.osim.pushes import SETS as TIMED
 from mbsgen.importing.vocabulary import Part, Place, Vocabulary, place
 
 _SHOWN = "VisibleObject FrameGeometry frame_geometry attached_geometry Appearance display"
@@ -24,11 +26,9 @@ _CONTACTS = "ElasticFoundationForce MeyerFregly2016Force"
 _MATERIAL = " ".join(
     f"{x}=value" for x in ["stiffness", "dissipation", "static_friction", "dynamic_friction", "viscous_friction"]
 )
-_SPRINGS = "BushingForce FunctionBasedBushingForce ExpressionBasedBushingForce TwoFrameLinker CoordinateLinearStop"
-_ACTUATORS = (
-    "TorqueActuator PointActuator PointToPointActuator BodyActuator ClutchedPathSpring SpatialForce "
-    "PrescribedForce ExternalForce StationPlaneContactForce"
-)
+_SPRINGS = "TwoFrameLinker CoordinateLinearStop"
+_ACTUATORS = "ClutchedPathSpring SpatialForce ExternalForce StationPlaneContactForce"
+_ENDS = " ".join(f"socket_frame{k}=value socket_body_{k}=value body_{k}=value" for k in (1, 2))
 
 
 def _out(names: str, text: str) -> dict[str, str | Part]:
@@ -112,6 +112,8 @@ PLACES: dict[str, Place] = {
         + f" {SPRING}*=spring {LIMIT}*=limit {FORMULA}*=formula {SMOOTH}*=smooth {BLUNT}*=blunt "
         + " ".join(f"{name}*=pair" for name in PAIRS)
         + " "
+        + " ".join(f"{name}*=push" for name in PUSHES)
+        + " "
         + " ".join(f"{name}*=line" for name in PATHS),
         warned=_out(_MUSCLES, "muscles are not part of the model: its force is left out")
         | _out(_CONTACTS, "this contact is not part of the model; describe it under contacts")
@@ -130,8 +132,24 @@ PLACES: dict[str, Place] = {
     "formula": place(read="@name appliesForce=value isDisabled=value coordinate=value expression=value"),
     "pair": place(
         read="@name appliesForce=value isDisabled=value socket_body1=value socket_body2=value body1=value body2=value "
-        "point1=value point2=value stiffness=value rest_length=value expression=value"
+        "point1=value point2=value stiffness=value rest_length=value expression=value bodyA=value bodyB=value "
+        "pointA=value pointB=value points_are_global=value optimal_force=value",
+        idle="min_control max_control",
     ),
+    "push": place(
+        read=f"@name appliesForce=value isDisabled=value {_ENDS} frames=parts {_BOTH} "
+        + " ".join(f"{x}=value" for x in (*NUMBERS, *FORMULAS))
+        + " "
+        + " ".join(f"{x}=curved" for x in CURVES)
+        + " bodyA=value bodyB=value torque_is_global=value axis=value optimal_force=value body=value point=value "
+        "point_is_global=value direction=value force_is_global=value socket_body=value spatial_force_is_global=value "
+        "socket_frame=value pointIsGlobal=value forceIsGlobal=value FunctionSet*=timed "
+        + " ".join(f"{x}=timed" for x in TIMED),
+        idle="min_control max_control moment_visual_scale force_visual_scale visual_aspect_ratio",
+    ),
+    "curved": place(read=_FUNCTIONS + " function=functions"),
+    "timed": place(read="@name objects=functions_in", idle="groups"),
+    "functions_in": place(read=" ".join(f"{name}*=function" for name in FUNCTIONS)),
     "limit": place(
         read="@name appliesForce=value isDisabled=value coordinate=value upper_stiffness=value upper_limit=value "
         "lower_stiffness=value lower_limit=value damping=value transition=value",

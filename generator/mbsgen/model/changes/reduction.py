@@ -91,7 +91,10 @@ def build_tree(description: Model, *, readable: bool = False) -> Tree:
         parameters=parameters,
         bodies=_push(_bind(bodies, couplings), loads.pushes),
         sensors=tuple(_make_sensor(x, seats[x.body], reader) for x in description.frames if x.is_sensor),
-        wrenches=(*(_make_wrench(x, seats[x.body], reader) for x in description.wrenches), *loads.wrenches),
+        wrenches=(
+            *(_make_wrench(x, seats[x.body], reader) for x in description.wrenches if x.against is None),
+            *loads.wrenches,
+        ),
         probes=(*_probe_frames(description, seats, reader), *loads.probes),
         definitions=tuple(loads.definitions),
         distances=tuple(loads.distances),
@@ -555,6 +558,13 @@ def _collect_loads(description: Model, seats: Mapping[str, _Seat], reader: _Read
         path = [_make_spot(point, seats[point.body], reader, description) for point in element.path]
         around = [_make_surface(x, seats[x.body], reader, len(path)) for x in element.wraps]
         loads.add_element(element, path, around, is_read=element.name in measured)
+    for wrench in description.wrenches:
+        if wrench.against is not None:
+            ends = (wrench.against.body, wrench.against.placement), (wrench.body, wrench.placement)
+            first, second = (seats[body].carry(placement, reader) for body, placement in ends)
+            loads.add_between(
+                wrench, *((anchor(*x), _transpose(y.axes)) for x, y in zip(ends, (first, second), strict=True))
+            )
     for contact in description.contacts:
         at, other = seats[contact.body].carry(contact.placement, reader), contact.other
         points = [(name, Anchor(at.number, at.point(point))) for name, point in _list_points(contact, reader)]

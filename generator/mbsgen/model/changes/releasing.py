@@ -17,6 +17,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 from mbsgen.expressions import Expression, Name, Number, evaluate, names
+from mbsgen.model.bushings import NAMES
 from mbsgen.model.contact_laws import SphereLaw
 from mbsgen.model.elimination import Sums, eliminate, find_sums
 from mbsgen.model.expansion import Step, list_steps
@@ -246,18 +247,24 @@ class _Release:
 
     def _wrench(self, wrench: Wrench) -> Wrench:
         path = f"wrenches.{wrench.name}"
+        other = wrench.against
+        if other is not None:
+            other = replace(other, placement=self._placement(f"{path}.against", other.placement))
+        own = self._placement(path, wrench.placement)
         return replace(
             wrench,
-            position=self._triple(f"{path}.position", wrench.position),
+            position=own.position,
+            orientation=own.orientation,
             force=wrench.force and self._components(f"{path}.force", wrench.force),
             moment=wrench.moment and self._components(f"{path}.moment", wrench.moment),
+            against=other,
         )
 
     def _components(self, path: str, components: Triple) -> Triple:
         """Release numbers, and the numbers of expressions that read the state."""
         x, y, z = (
             replace_counted(component, f"{path}.{axis}", self._number)
-            if names(component) & self._state
+            if names(component) & {*self._state, *NAMES}
             else self._number(f"{path}.{axis}", component)
             for axis, component in zip("xyz", components, strict=True)
         )

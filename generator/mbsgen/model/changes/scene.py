@@ -108,7 +108,7 @@ def stage(model: Model, scene: Scene) -> Model:
     """
     kept = lock(apply_kinds(model, scene), dict(scene.locked))
     carriers = find_carriers(kept)
-    felt = [w for w in kept.wrenches if carriers[w.body] != BASE]
+    felt = [w for w in kept.wrenches if carriers[w.body] != carriers[BASE if w.against is None else w.against.body]]
     wrenches = tuple(w for w in felt if scene.wrenches is None or w.name in scene.wrenches)
     forces = tuple(x for x in kept.forces if len({carriers[body] for body in x.bodies}) > 1)
     contacts = tuple(x for x in kept.contacts if carriers[x.body] != carriers[x.other.body])

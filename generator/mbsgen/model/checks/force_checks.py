@@ -10,6 +10,7 @@ from sympy import Expr, Symbol
 
 from mbsgen.documents import Finding, Place, abbreviate, nearest
 from mbsgen.expressions import Expression, names, parse, substitute, write
+from mbsgen.model.bushings import NAMES
 from mbsgen.model.contact_laws import SphereLaw
 from mbsgen.model.elements import POWERS
 from mbsgen.model.model import (
@@ -71,9 +72,15 @@ def check_law(
 
 
 def _check_wrench(place: Place, wrench: Wrench, valuation: Valuation, state: State) -> Iterator[Finding]:
-    valuation.triple((*place, "position"), wrench.position)
-    if wrench.body == BASE:
+    valuation.placement(place, wrench.placement)
+    own: State = {}
+    if wrench.against is not None:
+        valuation.placement((*place, "against"), wrench.against.placement)
+        own = {name: Symbol(name, real=True) for name in NAMES}
+        state = {**state, **own}
+    elif wrench.body == BASE:
         yield Finding((*place, "body"), f"{BASE} does not move", "name the body that the wrench acts on")
+    yield from _check_sides(place, wrench)
     idle = True
     for key, vector in (("force", wrench.force), ("moment", wrench.moment)):
         if vector is None:
@@ -82,12 +89,27 @@ def _check_wrench(place: Place, wrench: Wrench, valuation: Valuation, state: Sta
         for k, component in enumerate(vector):
             if names(component) & state.keys():
                 idle = False
-                yield from check_law((*place, key, k), component, valuation, state)
+                yield from check_law((*place, key, k), component, valuation, state, own)
             else:
                 value = valuation.number((*place, key, k), component)
                 idle = idle and value == 0 and not valuation.changes(component)
     if idle:
         yield Finding(place, "a wrench without force and moment", "give one of them numbers, or input")
+
+
+def _check_sides(place: Place, wrench: Wrench) -> Iterator[Finding]:
+    """Find keys of a wrench that have no meaning with, or without, another frame."""
+    if wrench.against is None:
+        for key, is_given in (("orientation", bool(wrench.orientation)), ("about", wrench.by_turns)):
+            if is_given:
+                yield Finding((*place, key), "it has no meaning without `against`", "take it away, or give `against`")
+        return
+    if not wrench.in_base:
+        finding = "its components are along the axes of `against`"
+        yield Finding((*place, "frame"), finding, "take it away; give `against` the orientation")
+    for key, vector in (("force", wrench.force), ("moment", wrench.moment)):
+        if vector is None:
+            yield Finding((*place, key), "an input between two frames", "give three expressions, which read signals")
 
 
 def _check_element(
@@ -428,7 +450,7 @@ def check_bodies(model: Model) -> Iterator[Finding]:
             finding = f"{write(stop.quantity)} does not change"
             yield Finding(("stops", i, "quantity"), finding, "let it depend on a coordinate, or take the stop away")
     for i, wrench in enumerate(model.wrenches):
-        if carriers.get(wrench.body) == BASE:
+        if wrench.against is None and carriers.get(wrench.body) == BASE and wrench.body != BASE:
             finding = f"{abbreviate(wrench.body)} is fixed to {BASE}, and does not move"
             yield Finding(("wrenches", i, "body"), finding, "take the wrench away")
     pairs = [(("forces", i), x.first.body, x.second.body) for i, x in enumerate(model.forces) if x.is_straight]
@@ -437,6 +459,7 @@ def check_bodies(model: Model) -> Iterator[Finding]:
             finding = "its points do not move relative to each other"
             yield Finding(("forces", i), finding, "name bodies that move relative to each other, or take it away")
     pairs += [(("contacts", i), x.body, x.other.body) for i, x in enumerate(model.contacts)]
+    pairs += [(("wrenches", i), x.body, x.against.body) for i, x in enumerate(model.wrenches) if x.against is not None]
     for place, first, second in pairs:
         if first in carriers and carriers[first] == carriers.get(second):  # a body that is missing has a finding
             finding = f"{abbreviate(first)} and {abbreviate(second)} do not move relative to each other"

@@ -18,7 +18,7 @@ from mbsgen.documents import Section
 from mbsgen.expressions import Number
 from mbsgen.model import joints
 from mbsgen.model.file.force_sections import ContactSection, ForceSection, StopSection
-from mbsgen.model.file.loops import ConstraintSection, LoopSection
+from mbsgen.model.file.loops import ConstraintSection, LoopEndSection, LoopSection
 from mbsgen.model.file.visual_sections import VisualField
 from mbsgen.model.joints.elementary import ElementarySection
 from mbsgen.model.joints.section import JointSection
@@ -100,13 +100,19 @@ WrenchField = Annotated[
 ]
 
 
-class WrenchSection(Section):
+class WrenchSection(PlacementSection):
     """An external force and moment on a body: numbers, expressions of the state, or inputs of the code."""
 
     name: str = Field(examples=["wind"])
     body: str = Field(examples=["upperarm"])
-    position: TripleField = Field(ORIGIN, examples=[[0.1, 0.0, 0.0]], description="its point, in the body's frame, m")
     frame: Literal["base", "body"] = Field("base", examples=["base"], description="whose axes its components are along")
+    against: Annotated[
+        LoopEndSection | None,
+        Field(examples=[{"body": BASE}], description="a frame along whose axes it acts, with the opposite on its body"),
+    ] = None
+    about: Literal["axes", "turns"] = Field(
+        "axes", examples=["axes"], description="its moment: the axes of `against`, or the turns x, y, z from there"
+    )
     force: WrenchField = Field(
         ORIGIN, examples=[[0.0, 0.0, 1.0]], description="in N, over parameters and the state; or input"
     )
