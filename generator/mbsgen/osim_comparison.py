@@ -88,13 +88,15 @@ class OpenSimComparison:
         return all(miss <= (NEAR if AROUND in key else TOLERANCE) for key, miss in self.misses.items())
 
 
-def compare_with_opensim(path: Path, choices: Choices, ask: Ask | None = None) -> OpenSimComparison:
-    """Import a file of OpenSim, and compare with its answer. Raises InputError where this is impossible."""
+def compare_with_opensim(
+    path: Path, choices: Choices, ask: Ask | None = None, count: int = STATES
+) -> OpenSimComparison:
+    """Import a file of OpenSim, and compare with its answers at some states. Raises InputError where there are none."""
     ask = ask_opensim if ask is None else ask
     seen = import_model(path, choices)
     imported = import_model(path, replace(choices, sensors=seen.visible))
     motion = _Motion(imported)
-    states = [motion.draw(np.random.default_rng(seed)) for seed in range(STATES)]
+    states = [motion.draw(np.random.default_rng(seed)) for seed in range(count)]
     answer = ask(path, states)
     motion.let_act(answer.get("acting", ()))
     elements = motion.elements
@@ -291,7 +293,7 @@ def ask_opensim(path: Path, states: Sequence[State]) -> Any:
             input=text,
             capture_output=True,
             text=True,
-            timeout=TIME,
+            timeout=TIME + len(states),
             check=False,
             cwd=path.parent,
         )

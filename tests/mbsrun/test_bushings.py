@@ -106,7 +106,7 @@ def test_it_is_written_and_read_again_and_its_numbers_are_parameters(tmp_path: P
 
 
 def test_it_is_made_in_python() -> None:
-    block = body("block", [prismatic("x"), revolute("y")], mass=1, inertia=(0.1, 0.1, 0.1))
+    block = body("block", (prismatic("x"), revolute("y")), mass=1, inertia=(0.1, 0.1, 0.1))
     soft = wrench(
         "soft", "block", against=end("base", orientation=[("z", 0.5)]), force=("-10*shift_x", 0, 0), about="turns"
     )

@@ -18,8 +18,11 @@ from mbsgen.importing import Choices
 @click.option(
     "--with", "peer", type=click.Choice(["pinocchio", "opensim"]), required=True, help="The program to compare with."
 )
+@click.option(
+    "--states", type=click.IntRange(1, 100_000), help="The number of random states, with opensim; 5 by default."
+)
 @importing
-def compare_command(model: Path, peer: str, choices: Choices) -> None:
+def compare_command(model: Path, peer: str, states: int | None, choices: Choices) -> None:
     """Compare MODEL, a file of URDF or OpenSim, with another program.
 
     Prints the largest differences of the residual Phi, the mass matrix M, the bias c and the accelerations qdd at
@@ -27,17 +30,19 @@ def compare_command(model: Path, peer: str, choices: Choices) -> None:
     accelerations at closed states. Exit code 1: an unexplained difference.
     """
     if peer == "opensim":
-        _compare_with_opensim(model, choices)
+        _compare_with_opensim(model, choices, states)
+    elif states is not None:
+        raise click.UsageError("--states is for a comparison with opensim")
     else:
         _compare_with_pinocchio(model, choices)
 
 
-def _compare_with_opensim(model: Path, choices: Choices) -> None:
-    from mbsgen.osim_comparison import AROUND, NEAR, TOLERANCE, compare_with_opensim
+def _compare_with_opensim(model: Path, choices: Choices, states: int | None) -> None:
+    from mbsgen.osim_comparison import AROUND, NEAR, STATES, TOLERANCE, compare_with_opensim
 
     if model.suffix.lower() != ".osim":
         raise click.UsageError(f"{model}: files of OpenSim are compared with opensim")
-    found = compare_with_opensim(model, choices)
+    found = compare_with_opensim(model, choices, count=states or STATES)
     width = max(map(len, found.misses)) + 3
     for name, miss in found.misses.items():
         click.echo(f"{name:{width}}{miss:.1e}")

@@ -42,6 +42,7 @@ class Format:
     read: Callable[[Source, Choices], Imported]  # raises InputError with all faults of the file
 
 
+STUDY = ".omoco"  # of OpenSim Moco: `mbsgen import` makes a problem and a model of it
 _MARKUP = (".urdf", ".xml", ".mjcf", ".xacro", ".sdf", ".osim")  # the root element shows the format
 _ADVICE = {
     "mujocoinclude": "import the file that includes this one",
@@ -99,7 +100,7 @@ def list_formats() -> str:
 
 def is_foreign(path: Path) -> bool:
     """Test by its name whether a file is one to import."""
-    return any(path.suffix.lower() in known.suffixes for known in FORMATS)
+    return path.suffix.lower() == STUDY or any(path.suffix.lower() in known.suffixes for known in FORMATS)
 
 
 def _read(known: Format, source: Source, choices: Choices) -> Imported:
@@ -132,6 +133,9 @@ def _tolerate(found: Imported, source: Source, choices: Choices) -> Imported:
 def import_model(path: Path, choices: Choices = DEFAULT) -> Imported:
     """Read a file of one of FORMATS as a model. Raises InputError with all faults of the file."""
     source, suffix = Source(path), path.suffix.lower()
+    if suffix == STUDY:
+        remedy = f"make a problem and its model: mbsgen import {path.name} -o {path.stem}.ocp.yaml"
+        raise InputError([Fault(str(path), 0, "", "the file is a study of OpenSim Moco, and no model", remedy)])
     likely = [known for known in FORMATS if suffix in known.suffixes] or FORMATS
     for known in likely:
         if known.recognise(source):

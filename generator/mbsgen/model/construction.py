@@ -248,9 +248,9 @@ def wrench(
         raise WrongValueError(f"found {_show(frame)}", "give base or body")
     if about not in ("axes", "turns"):
         raise WrongValueError(f"found {_show(about)}", "give axes or turns")
-    given = (None if isinstance(v, str) and v == "input" else vector(v) for v in (force, moment))
+    own, other = (None if isinstance(v, str) and v == "input" else vector(v) for v in (force, moment))
     at = _place(position, orientation)
-    return Wrench(name, body, at.position, frame == "base", *given, at.orientation, against, about == "turns")
+    return Wrench(name, body, at.position, frame == "base", own, other, at.orientation, against, about == "turns")
 
 
 def end(body: str, *, position: Vector = _ORIGIN, orientation: Turns = ()) -> LoopEnd:

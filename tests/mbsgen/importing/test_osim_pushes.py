@@ -81,8 +81,8 @@ FAULTS: dict[str, tuple[str, str, str, str]] = {
 
 @pytest.mark.parametrize("fault", FAULTS)
 def test_faults_have_a_line_a_finding_and_a_remedy(fault: str, tmp_path: Path) -> None:
-    name, *rest = FAULTS[fault]
-    check_fault(CASES[name], *rest, tmp_path)
+    name, old, new, wanted = FAULTS[fault]
+    check_fault(CASES[name], old, new, wanted, tmp_path)
 
 
 if __name__ == "__main__":

@@ -88,9 +88,9 @@ class Touching:
     def __init__(self, model: Element, frames: Frames, findings: Findings) -> None:
         self._frames = frames
         self._findings = findings
-        held = model.first("ContactGeometrySet")
-        objects = None if held is None else held.first("objects")
-        given = () if objects is None else objects.children
+        held = [model.first(x) for x in ("ContactGeometrySet", "ComponentSet")]
+        objects = [x.first("objects") for x in held if x is not None] + [model.first("components")]
+        given = [each for x in objects if x is not None for each in x.children if each.tag.startswith("Contact")]
         self._elements = {x.attributes.get("name", ""): x for x in given}
         self._shapes: dict[str, Shape | None] = {}
 

@@ -206,8 +206,11 @@ class _Function:
         return Sum(offset, curves=((name, parse_sum([(amplitude, f"sin({angle})")])),))
 
     def _read_points(self, draw: Callable[[Array, Array], Expression]) -> Sum:
+        before = len(self.findings.faults)
         x, y = (np.array(self._list(tag)) for tag in "xy")
         name = self._find_only()
+        if len(self.findings.faults) > before:
+            return Sum()
         if (finding := _find_flaw(x, y)) is not None:
             self.findings.fault(self.element, *finding)
             return Sum()

@@ -95,8 +95,8 @@ class Pushes:
         if all(x == ZERO for x in parts):
             self.findings.tell(element, "it has no stiffness and no damping: left out")
             return []
-        moment, force = (parts[0], parts[1], parts[2]), (parts[3], parts[4], parts[5])
-        return [Push(name, element, second, force, moment, against=first, by_turns=True)]
+        ax, ay, az, x, y, z = parts
+        return [Push(name, element, second, (x, y, z), (ax, ay, az), against=first, by_turns=True)]
 
     def _read_elastic(self, element: Element) -> list[Expression] | None:
         """Read what a bushing resists with, over its turns and shifts; None with a warning."""
@@ -187,8 +187,9 @@ class Pushes:
             return [Push(name, element, mount, force, moment, in_base, signals=signals)]
         if is_placed == in_base:
             # the force acts at the frame's origin, with the moment of the place about it
-            own = [Name(x) for x in SHIFTS] if is_placed else [ZERO] * 3
-            arm = [Operation("-", p, s) if s != ZERO else p for p, s in zip(place, own, strict=True)]
+            arm: list[Expression] = [*place]
+            if is_placed:
+                arm = [Operation("-", p, Name(s)) for p, s in zip(place, SHIFTS, strict=True)]
             turned = _cross(arm, force)
             x, y, z = (parse(write(Operation("+", a, b))) for a, b in zip(moment, turned, strict=True))
             against = Mount(GROUND) if is_placed else None

@@ -52,6 +52,7 @@ from mbsgen.model.model import BASE, Contact, LoopEnd, PathPoint, Plane, Presenc
 from mbsgen.model.model import ORIGIN as MODEL_ORIGIN
 from mbsgen.model.tree import Cut
 
+LOOSE = ("components", "ComponentSet")  # parts of a model for all kinds of components
 GRAVITY = (0.0, -9.80665, 0.0)  # the default of OpenSim
 OLDEST, NEWER, NEWEST = 20303, 30500, 40000  # between the last two, files of versions that were never released
 FULL_TURNS = 4 * math.pi  # rad: a range beyond this is probably in degrees
@@ -225,10 +226,13 @@ class _File:
         return self._findings.numbers(child, "gravity", GRAVITY, attributes={"gravity": child.text})
 
     def _list(self, name: str) -> Iterator[Element]:
-        """Yield the objects of a set of the model."""
-        found = self._model.first(name)
-        objects = None if found is None else found.first("objects")
-        yield from () if objects is None else objects.children
+        """Yield the objects of a set of the model, and components of the model that may be in any set."""
+        for holder in (name, *LOOSE):
+            found = self._model.first(holder)
+            objects = found if found is None or holder == "components" else found.first("objects")
+            for each in () if objects is None else objects.children:
+                if name != "JointSet" or holder == name or each.tag in JOINTS:
+                    yield each
 
     def _acts(self, element: Element) -> bool:
         if not is_on(element):
@@ -654,7 +658,7 @@ class _File:
     @property
     def _is_driven(self) -> bool:
         """Return whether muscles or other actuators along paths move the model."""
-        return any(x.signals for x in (*self._lines, *self._pushes))
+        return any(line.signals for line in self._lines) or any(push.signals for push in self._pushes)
 
     def _add_push(self, push: Push) -> None:
         """Add a wrench at a frame, or between two."""

@@ -40,7 +40,7 @@ PLACES: dict[str, Place] = {
     "Model": place(
         read="@name gravity=value length_units=value force_units=value Ground=ground BodySet=bodies JointSet=joints "
         "ConstraintSet=constraints ForceSet=forces MarkerSet=markers ControllerSet=controllers ComponentSet=components "
-        "ContactGeometrySet=geometry",
+        "ContactGeometrySet=geometry components=loose",
         idle="credits publications defaults assembly_accuracy ProbeSet ModelVisualPreferences "
         "OutputReporterSet AnalysisSet groups WrapObjectSet SimbodyEngine",
     ),
@@ -221,7 +221,9 @@ PLACES: dict[str, Place] = {
             "controllers are not part of the model",
         )
     ),
-    "components": place(read="@name objects=parts", idle="groups"),
+    "components": place(read="@name objects=loose", idle="groups"),
 }
+_LOOSE = ("bodies", "joints", "constraints", "forces", "geometry", "markers", "controllers")
+PLACES["loose"] = dict(PLACES["parts"]) | {tag: part for x in _LOOSE for tag, part in PLACES[f"{x}_in"].items()}
 
 VOCABULARY = Vocabulary(PLACES)

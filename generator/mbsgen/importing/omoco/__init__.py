@@ -1,0 +1,1 @@
+"""Studies of OpenSim Moco (.omoco) -> a model, and a problem file over it."""

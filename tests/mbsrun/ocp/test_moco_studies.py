@@ -1,0 +1,187 @@
+"""Studies of OpenSim Moco, imported and solved: Moco's optima in tests/reference/moco, omissions, faults.
+
+`python -m tests.mbsrun.ocp.test_moco_studies` writes the studies and their costs anew, by the Python of MBSGEN_OPENSIM.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+import mbsrun
+from mbsgen.cli import cli
+from mbsgen.errors import InputError
+from mbsgen.importing import Choices, import_model
+from mbsgen.importing.findings import Findings
+from mbsgen.importing.omoco.problem import write_problem
+from mbsgen.importing.omoco.study import match_pattern, read_study
+from tests import opensim
+
+REFERENCE = Path(__file__).parents[2] / "reference" / "moco"
+COSTS = json.loads((REFERENCE / "costs.json").read_text("utf-8"))
+SAME = 1e-6  # relative: Moco's tolerance is 1e-7
+
+
+def read(name: str, folder: Path, *changes: tuple[str, str]) -> tuple[str, Findings]:
+    """Return the problem file of a changed study, and the findings; the folder gets its tables and its model."""
+    text = (REFERENCE / f"{name}.omoco").read_text("utf-8")
+    for old, new in changes:
+        assert old in text, old
+        text = text.replace(old, new, 1)
+    for table in ("states.sto", "tip.trc"):
+        shutil.copy(REFERENCE / table, folder)
+    path = folder / f"{name}.omoco"
+    path.write_text(text, "utf-8")
+    findings = Findings(str(path))
+    study = read_study(path, Choices(), findings)
+    return write_problem(study, f"{name}.yaml", findings), findings
+
+
+@pytest.mark.parametrize("name", COSTS)
+def test_optima_are_mocos(name: str, tmp_path: Path) -> None:
+    """The same transcription on the same mesh: final time, effort, markers, squares, places, periods."""
+    for table in ("states.sto", "tip.trc"):
+        shutil.copy(REFERENCE / table, tmp_path)
+    out = tmp_path / f"{name}.ocp.yaml"
+    done = CliRunner().invoke(cli, ["import", str(REFERENCE / f"{name}.omoco"), "-o", str(out)])
+    assert done.exit_code == 0, done.output
+    solution = mbsrun.read_problem(out).solve()
+    assert solution.status == "Solve_Succeeded"
+    assert solution.cost == pytest.approx(COSTS[name], rel=SAME)
+
+
+def test_states_are_tracked_from_the_start_of_the_motion(tmp_path: Path) -> None:
+    """The table begins before the motion, whose angles it has at its own times."""
+    text, findings = read("track", tmp_path)
+    assert not [x for x in findings.notices if x.alters]
+    path = '"/jointset/j0/q0/value"'
+    assert f"  states_1: {{file: states.sto, start: 0.0, columns: {{column_1: {path}}}}}" in text
+    assert '{expression: "(q_q0 - ref_states_1_column_1)**2", weight: 30.0}' in text
+
+
+def test_a_slider_of_loose_components_is_read(tmp_path: Path) -> None:
+    """The joint and the actuator stand in <components> of the model, and not in sets."""
+    text = (REFERENCE / "sliding_mass.omoco").read_text("utf-8")
+    model = re.search(r"<Model .*</Model>", text, re.DOTALL)
+    assert model is not None
+    (tmp_path / "slider.osim").write_text(f'<OpenSimDocument Version="40600">{model[0]}</OpenSimDocument>', "utf-8")
+    found = import_model(tmp_path / "slider.osim")
+    joints = [(joint.name, joint.actuated) for body in found.model.bodies for joint in body.joints]
+    assert joints == [("position", True)]
+    assert not [x for x in found.notices if x.alters]
+
+
+def test_grids_are_mocos(tmp_path: Path) -> None:
+    hermite = "<transcription_scheme>hermite-simpson<"
+    for scheme, wanted in (
+        ("trapezoidal", "scheme: lobatto\ndegree: 2\ninputs: linear"),
+        ("legendre-gauss-4", "scheme: legendre\ndegree: 4\ninputs: linear"),
+        ("legendre-gauss-radau-2", "scheme: radau\ndegree: 2\ninputs: linear"),
+    ):
+        assert wanted in read("swing", tmp_path, (hermite, hermite.replace("hermite-simpson", scheme)))[0]
+    mesh = ("<num_mesh_intervals>20</num_mesh_intervals>", "<mesh>0 0.25 1</mesh>")
+    assert "intervals: [0.25, 0.75]" in read("swing", tmp_path, mesh)[0]
+
+
+LEFT_OUT = {
+    "goal": ("swing", "MocoFinalTimeGoal", "MocoJointReactionGoal", "this goal has no counterpart that is written"),
+    "exponent": ("repeat", "<exponent>4", "<exponent>3", "an exponent of 3 is not read, only even ones"),
+    "mode": ("swing", "<weight>0.29999999999999999", "<mode>endpoint_constraint</mode><weight>1", "as a constraint"),
+    "setting": ("swing", "<weight>0.29999999999999999", "<other>3</other><weight>1", "this setting of a goal is not"),
+    "displacement": (
+        "repeat",
+        "<divide_by_duration>",
+        "<divide_by_displacement>true</divide_by_displacement><divide_by_duration>",
+        "this setting of a goal is not read",
+    ),
+    "table": ("track", "states.sto", "other.sto", 'there is no "other.sto" in the folder of the study: left out'),
+    "paths": ("swing", "<goals>", "<path_constraints><A><b>1</b></A></path_constraints><goals>", "not part of the"),
+    "operator": ("swing", "<model>", "<operators><ModOpAddReserves /></operators><model>", "is not made: change"),
+    "solver": ("swing", "<optim_conv", "<minimize_lagrange_multipliers>true</minimize_lagrange_multipliers><optim_conv",
+               "it is not part of the problem"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", LEFT_OUT)
+def test_what_has_no_counterpart_is_named_with_its_line(case: str, tmp_path: Path) -> None:
+    name, old, new, wanted = LEFT_OUT[case]
+    found = [x for x in read(name, tmp_path, *_change(old, new))[1].notices if wanted in x.text]
+    assert found
+    assert found[0].alters
+    assert found[0].line > 0
+
+
+def _change(old: str, new: str) -> list[tuple[str, str]]:
+    """Change a tag where it begins and where it ends."""
+    return [(old, new), (f"</{old}>", f"</{new}>")] if re.fullmatch(r"\w+Goal", old) else [(old, new)]
+
+
+FAULTS = {
+    "variable": ("swing", "/jointset/j0/q0/value", "/jointset/j0/q/value", 'no variable "/jointset/j0/q/value"; did'),
+    "weight": ("swing", 'MocoWeight name="/forceset/tau1', 'MocoWeight name="/forceset/tau3', "did you mean"),
+    "pattern": ("swing", "/jointset/.*/speed", "(a*)*b", 'the pattern "(a*)*b" is not read; name each variable'),
+    "bounds": ("swing", "<bounds>-10 10<", "<bounds>10 -10<", "bounds from 10 to -10; swap them"),
+    "three": ("swing", "<bounds>-10 10<", "<bounds>1 2 3<", "3 bounds; give one value, or a lower and an upper"),
+    "words": ("swing", "<bounds>-10 10<", "<bounds>a b<", "bounds is"),
+    "scheme": ("swing", "hermite-simpson", "euler", 'the scheme "euler" is not read; give trapezoidal, hermite'),
+    "intervals": ("swing", "mesh_intervals>20", "mesh_intervals>2.5", "2.5 intervals; give a whole number"),
+    "mesh": ("swing", "<num_mesh_intervals>20</num_mesh_intervals>", "<mesh>0 1 0.5</mesh>", "does not increase"),
+    "initial": ("swing", "<bounds>0</bounds>", "<bounds>0 1</bounds>", "the initial time is free; give one value"),
+    "final": ("swing", "<bounds>1.5</bounds>", "<bounds>-1</bounds>", "the motion lasts from -1 to -1 s"),
+    "marker": ("reach", "/markerset/tip", "/markerset/top", 'there is no marker "top"; did you mean "tip"?'),
+    "pair": ("repeat", "<initial_variable>/jointset/j0/q0/value", "<initial_variable>/q0", "there is no variable"),
+    "force": ("swing", "<optimal_force>1<", "<optimal_force>0<", "its optimal_force is 0; give a force"),
+    "second": ("swing", "<coordinate>q1", "<coordinate>q0", "a second actuator of q0"),
+    "model": ("swing", "<mass>1</mass>", "<mass>-1</mass>", "mass"),
+    "kind": ("swing", "<MocoStudy ", "<MocoStdy ", "and no <MocoStudy>; give a study's file"),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_faults_have_a_line_a_finding_and_a_remedy(fault: str, tmp_path: Path) -> None:
+    name, old, new, wanted = FAULTS[fault]
+    changes = [(old, new)] if fault != "kind" else [(old, new), ("</MocoStudy>", "</MocoStdy>")]
+    with pytest.raises(InputError) as caught:
+        read(name, tmp_path, *changes)
+    assert wanted.replace('"', "") in str(caught.value).replace('"', ""), str(caught.value)
+    assert re.search(r"\.omoco:\d+: ", str(caught.value))
+
+
+def test_a_model_is_named_beside_the_study_alone(tmp_path: Path) -> None:
+    text = (REFERENCE / "repeat.omoco").read_text("utf-8")
+    model = re.search(r"<model>\s*(<Model .*</Model>)\s*</model>", text, re.DOTALL)
+    assert model is not None
+    (tmp_path / "leg.osim").write_text(f'<OpenSimDocument Version="40600">{model[1]}</OpenSimDocument>', "utf-8")
+    whole = read("repeat", tmp_path)[0]
+    assert read("repeat", tmp_path, (model[0], "<filepath>leg.osim</filepath>"))[0] == whole
+    for name, wanted in (("../leg.osim", "outside its folder"), ("leg2.osim", "there is no such file")):
+        with pytest.raises(InputError, match=wanted):
+            read("repeat", tmp_path, (model[0], f"<filepath>{name}</filepath>"))
+
+
+def test_a_study_is_no_model_and_makes_two_files(tmp_path: Path) -> None:
+    path = shutil.copy(REFERENCE / "swing.omoco", tmp_path)
+    for arguments in (["import", str(path)], ["import", str(path), "-o", str(tmp_path / "model.yaml")]):
+        done = CliRunner().invoke(cli, arguments)
+        assert done.exit_code == 2
+        assert "a study makes two files: give -o swing.ocp.yaml" in done.output
+    with pytest.raises(InputError, match="and no model; make a problem and its model: mbsgen import"):
+        import_model(Path(path))
+
+
+def test_patterns_match_whole_names_and_end_soon() -> None:
+    paths = ["/a/value", "/a/speed", "/b/speed"]
+    assert match_pattern(".*speed", paths) == paths[1:]
+    assert match_pattern("/[ab]/(value|speed)", paths) == paths
+    assert match_pattern("(a+)+", paths) is match_pattern("(" * 3, paths) is match_pattern(".*.*.*.*.*x", paths) is None
+
+
+if __name__ == "__main__":
+    script = Path(__file__).with_name("moco_studies.py")
+    found = json.loads(opensim.ask(script, folder=REFERENCE))
+    (REFERENCE / "costs.json").write_text(json.dumps(found) + "\n", "utf-8")
