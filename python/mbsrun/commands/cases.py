@@ -22,7 +22,7 @@ from rich.table import Table
 from mbsgen.errors import Fault, InputError
 from mbsgen.expressions import FLOATS, ExpressionError, evaluate, parse
 from mbsrun.commands.console import print_table, say, show_progress
-from mbsrun.ocp.cases.cases import Case, CaseSolver, solve_cases
+from mbsrun.ocp.cases.cases import Case, CaseSolver, read, solve_cases
 from mbsrun.ocp.cases.dispatch import solve_elsewhere
 from mbsrun.ocp.cases.layers import Start, find_starts, keep_paths
 from mbsrun.ocp.cases.neighbours import Origin, follow, solve_beside, solve_neighbours
@@ -197,7 +197,7 @@ def _outcomes_beside(
     if wish.workers == 0:
         for k, outcome in solve_neighbours(cases, starts, family.plants, wish.threads):
             if k in asked:
-                yield k, tell(outcome)
+                yield k, tell(read(outcome))
         return
     with _open_pool(file, wish.workers) as pool:
         for k, told in follow(

@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -13,12 +14,13 @@ from numpy.typing import NDArray
 
 from mbsgen.documents import Data, abbreviate
 from mbsrun.kernel import is_count
-from mbsrun.ocp.cases.cases import Case, Outcome, solve_cases
+from mbsrun.ocp.cases.cases import Case, Found, Outcome, solve_cases
 from mbsrun.ocp.cases.layers import Place, find_starts
 from mbsrun.ocp.cases.neighbours import solve_neighbours
 from mbsrun.ocp.cases.programs import identify
 from mbsrun.ocp.problem.phases import Plants
 from mbsrun.ocp.solution.solution import Run
+from mbsrun.ocp.solving.nearby import Late
 from mbsrun.ocp.statement.checks import Line, ProblemError
 from mbsrun.optimal import display
 from mbsrun.optimal.naming import WrongPlaceError, put_at
@@ -34,40 +36,68 @@ NAMED = 5  # cases with faults that an error names
 _STEP = re.compile(r"([^.\[\]]+)|\[(\d+)\]")
 
 
+@dataclass(frozen=True, eq=False)
+class Deferred:
+    """A solution whose motion is read when somebody looks at the case."""
+
+    late: Late
+    read: Callable[[Outcome], Any]
+
+    @property
+    def cost(self) -> float:
+        """Return the whole cost."""
+        return self.late.cost
+
+    @cached_property
+    def outcome(self) -> Any:
+        """Return it as `solve` returns it."""
+        return self.read(self.late.solution)
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class SolvedMany(Sequence[Any]):
     """The outcomes of cases in order: `found[3]` is what `solve` returns for case 3, Unsolved where that fails."""
 
     cases: tuple[Values, ...]
-    outcomes: tuple[Any, ...]
+    kept: tuple[Any, ...]  # outcomes, some of them deferred
+
+    @property
+    def outcomes(self) -> tuple[Any, ...]:
+        """Return all outcomes."""
+        return tuple(map(_open, self.kept))
 
     def __getitem__(self, k: int | slice) -> Any:
         """Return the outcome of a case, or of several."""
-        return self.outcomes[k]
+        return tuple(map(_open, self.kept[k])) if isinstance(k, slice) else _open(self.kept[k])
 
     def __len__(self) -> int:
         """Count the cases."""
-        return len(self.outcomes)
+        return len(self.kept)
 
     @property
     def is_solved(self) -> NDArray[np.bool_]:
         """Return which cases have a solution, shape (cases,)."""
-        return np.array([found.is_solved for found in self.outcomes], dtype=bool)
+        return np.array([not isinstance(found, Unsolved) for found in self.kept], dtype=bool)
 
     @property
     def statuses(self) -> tuple[str, ...]:
         """Return the solver's word for each case."""
-        return tuple(found.status for found in self.outcomes)
+        return tuple(_read_run(found).status for found in self.kept)
 
     @property
     def cost(self) -> Array:
         """Return the whole cost of each case, shape (cases,); not a number where there is no solution."""
-        return np.array([np.nan if isinstance(found, Unsolved) else found.cost for found in self.outcomes])
+        return np.array([np.nan if isinstance(found, Unsolved) else found.cost for found in self.kept])
 
     @property
     def iterations(self) -> NDArray[np.int64]:
         """Return the iterations of each case, shape (cases,)."""
-        return np.array([_read_run(found).iterations for found in self.outcomes], dtype=np.int64)
+        return np.array([_read_run(found).iterations for found in self.kept], dtype=np.int64)
+
+    @property
+    def cpu_seconds(self) -> Array:
+        """Return the solver's processor time of each case [s], shape (cases,)."""
+        return np.array([_read_run(found).cpu_seconds for found in self.kept])
 
     @property
     def shortcomings(self) -> dict[int, list[str]]:
@@ -97,13 +127,20 @@ class SolvedMany(Sequence[Any]):
             rows["cost"] = f"{np.nanmin(self.cost):.8g} to {np.nanmax(self.cost):.8g}"
         if self.shortcomings:
             rows["short"] = f"{len(self.shortcomings)} of them, see shortcomings"
-        for k, found in enumerate(self.outcomes):
+        for k, found in enumerate(self.kept):
             if isinstance(found, Unsolved) and len(rows) < NAMED + 2:
                 rows[f"case {k}"] = f"{found.status}: {found.reason}"
         return rows
 
 
+def _open(found: Any) -> Any:
+    """Return an outcome as `solve` returns it."""
+    return found.outcome if isinstance(found, Deferred) else found
+
+
 def _read_run(found: Any) -> Run:
+    if isinstance(found, Deferred):
+        return found.late.run
     run: Run = found.failure.run if isinstance(found, Unsolved) else found.solution.run
     return run
 
@@ -168,16 +205,17 @@ def list_places(values: Sequence[Values], cases: Sequence[Case]) -> list[Place]:
 
 def _place(values: Values, case: Case) -> Place:
     numbers, texts = dict[str, float](), dict[str, str]()
-    for key, value in values.items():
+    parts: dict[str, int] = {}
+    for part, (key, value) in enumerate(sorted(values.items())):
         for path, entry in _list_entries(key, value):
             is_number = isinstance(entry, int | float | np.number) and not isinstance(entry, bool)
             if is_number and math.isfinite(entry):
-                numbers[path] = float(entry)
+                numbers[path], parts[path] = float(entry), part
             else:
                 texts[path] = repr(entry)
     names = sorted(numbers)
     kind = (tuple(names), tuple(sorted(texts.items())), identify(case.problem))
-    return Place(kind, tuple(numbers[name] for name in names))
+    return Place(kind, tuple(numbers[name] for name in names), tuple(parts[name] for name in names))
 
 
 def _list_entries(path: str, value: Any) -> Iterator[tuple[str, Any]]:
@@ -242,11 +280,14 @@ def solve_family(family: Family, over: Over, guesses: Sequence[Any] | None, way:
         _refuse(family.name, "guesses", "cases start from their neighbours", "leave out guesses, or neighbours")
     cases, found = family.list_cases(values, guesses, check=way.check), dict[int, Any]()
     if way.neighbours:
-        outcomes = solve_neighbours(cases, find_starts(list_places(values, cases)), family.plants, way.threads)
+        outcomes: Iterator[tuple[int, Found]] = solve_neighbours(
+            cases, find_starts(list_places(values, cases)), family.plants, way.threads
+        )
     else:
         outcomes = solve_cases(cases, family.plants, way.threads)
     for k, outcome in outcomes:
-        found[k] = family.read(cases[k], outcome)
+        read = partial(family.read, cases[k])
+        found[k] = Deferred(outcome, read) if isinstance(outcome, Late) else read(outcome)
         if watch is not None:
-            watch(k, found[k])
+            watch(k, _open(found[k]))
     return SolvedMany(values, tuple(found[k] for k in range(len(cases))))

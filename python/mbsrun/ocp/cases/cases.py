@@ -17,10 +17,19 @@ from mbsrun.ocp.problem.phases import PhasedProblem, Plants, equip_phases
 from mbsrun.ocp.searching.refinement import refine_phases
 from mbsrun.ocp.solution.phases import Guess, PartialGuess, PhasedSolution
 from mbsrun.ocp.solution.solution import Failure, Run
-from mbsrun.ocp.solving.phases import Neighbour, Note, prepare_near, resimulate_phases, solve_phases
+from mbsrun.ocp.solving.nearby import Late, NearAnswer, NearStart, solve_all_near
+from mbsrun.ocp.solving.phases import (
+    Neighbour,
+    Note,
+    PhasedSolver,
+    prepare_near,
+    resimulate_phases,
+    solve_phases,
+)
 from mbsrun.ocp.statement.checks import ProblemError
 
 Outcome = PhasedSolution | Failure
+Found = Outcome | Late  # which is read when somebody asks for it
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,6 +39,28 @@ class Case:
     problem: PhasedProblem
     guess: Guess | PartialGuess | None = None  # None: the one that the problem describes
     is_checked: bool = True  # its solution is re-simulated, and refined if the problem asks for that
+
+
+@dataclass(frozen=True, eq=False)
+class Try:
+    """A case, and the solution that it starts from."""
+
+    case: Case
+    own: Neighbour
+    most_iterations: int
+
+
+@dataclass(frozen=True, eq=False)
+class Near:
+    """What a start from neighbours found, and itself as a start of others."""
+
+    found: Found
+    neighbour: Neighbour | None
+
+
+def read(found: Found) -> Outcome:
+    """Return an outcome with its motions."""
+    return found.solution if isinstance(found, Late) else found
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,26 +74,45 @@ class CaseSolver:
         """Solve a case; its faults are a failure, too. `note` gets a solution from which neighbours may start."""
         try:
             found = solve_phases(case.problem, self.plants, None, case.guess, self.programs.find, note)
-            return self._check(case, found)
+            return read(self._check(case, found))
         except ProblemError as error:
             place, finding, remedy = error.findings[0]
             return Failure(case.problem, Run(BAD_PROBLEM, 0, 0.0, 0.0), finding, remedy, place)
 
-    def solve_near(self, case: Case, own: Neighbour, most_iterations: int, note: Note) -> Outcome | None:
-        """Solve a case from a neighbour's solution; None where that does not succeed soon."""
-        try:
-            ready = prepare_near(case.problem, self.plants, own, self.programs.find)
-            if isinstance(ready, Failure):
-                return None
-            found = ready.solver.solve_near(ready.problem, own, most_iterations, note)
-            return None if found is None else self._check(case, found)
-        except ProblemError:
-            return None
+    def solve_near(self, tries: Sequence[Try], threads: int = 1) -> list[Near | None]:
+        """Solve cases from neighbours' solutions; None where that does not succeed soon."""
+        found: list[Near | None] = [None] * len(tries)
+        groups: dict[int, tuple[PhasedSolver, list[int], list[NearStart]]] = {}
+        for k, one in enumerate(tries):
+            try:
+                ready = prepare_near(one.case.problem, self.plants, one.own, self.programs.find)
+            except ProblemError:
+                continue
+            if not isinstance(ready, Failure):
+                _, numbers, starts = groups.setdefault(id(ready.solver), (ready.solver, [], []))
+                numbers.append(k)
+                starts.append(NearStart(ready.problem, one.own, one.most_iterations))
+        for solver, numbers, starts in groups.values():
+            for k, answer in zip(numbers, self._try(solver, starts, threads), strict=True):
+                if answer is not None:
+                    found[k] = Near(self._check(tries[k].case, answer.found), answer.neighbour)
+        return found
 
-    def _check(self, case: Case, found: Outcome) -> Outcome:
+    def _try(self, solver: PhasedSolver, starts: Sequence[NearStart], threads: int) -> list[NearAnswer | None]:
+        """Solve problems of one structure from neighbours; one with faults ends none of the others."""
+        try:
+            return solve_all_near(solver, starts, threads)
+        except ProblemError:
+            if len(starts) == 1:
+                return [None]
+            return [self._try(solver, [start], threads)[0] for start in starts]
+
+    def _check(self, case: Case, found: Found) -> Found:
         """Re-simulate a solution, and refine it if the problem asks for that, where the case is checked."""
         if isinstance(found, Failure) or not case.is_checked:
             return found
+        found = read(found)
+        assert isinstance(found, PhasedSolution), "it was judged"
         plants = equip_phases(case.problem, self.plants)
         found = resimulate_phases(found, plants)
         asks = any(phase.problem.refine is not None for phase in case.problem.phases)

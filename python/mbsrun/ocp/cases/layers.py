@@ -2,10 +2,10 @@
 
 A place has the numbers by which cases differ. The cases of one kind are put in an order in which each is the farthest
 from all before it, over the ranges of the numbers (Gonzalez, "Clustering to minimize the maximum intercluster
-distance", Theoretical Computer Science 38 (1985)); the first one is nearest to the middle of the ranges. The layers are
-1, 1, 2, 4, 8, ... cases of this order. A case starts from the nearest ones of earlier layers, so layers grow denser,
-and the cases of one layer do not wait for each other. Places are sorted first, so the layers depend on the set of cases
-alone, not on their order.
+distance", Theoretical Computer Science 38 (1985)); the first one is nearest to the middle of the ranges. Numbers of one
+vector have one unit, and are taken over their largest range. The layers are 1, 1, 2, 4, 8, ... cases of this order. A
+case starts from the nearest ones of earlier layers, so layers grow denser, and the cases of one layer do not wait for
+each other. Places are sorted first, so the layers depend on the set of cases alone, not on their order.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-MOST = 16  # sources of a case
+MOST = 16  # sources of a case, which has no more than a cubic function has coefficients
 SLACK = 1e-9  # the price of weights over the one of missing the place
 CURVED = 1e-3  # the same, over the one of missing values of functions of higher degree
 SPAN = 2.0  # the length in which functions vary, over the distance of the farthest source
@@ -31,6 +31,7 @@ class Place:
 
     kind: Hashable  # cases of different kinds are no neighbours
     numbers: tuple[float, ...]
+    parts: tuple[int, ...] = ()  # numbers of one part, such as a vector, have one unit; empty: each is a part
 
 
 @dataclass(frozen=True)
@@ -103,8 +104,9 @@ def weigh(sources: Sequence[Source]) -> Array:
 def _join(cases: Sequence[int], places: Sequence[Place]) -> list[Start]:
     """Return the starts of cases of one kind, farthest first."""
     order = sorted(cases, key=lambda k: (places[k].numbers, k))
-    x = _scale(np.array([places[k].numbers for k in order], dtype=np.float64).reshape(len(order), -1))
-    chosen, most = _spread(x), min(MOST, 2 * x.shape[1] + 2)
+    numbers = np.array([places[k].numbers for k in order], dtype=np.float64).reshape(len(order), -1)
+    x = _scale(numbers, places[order[0]].parts or range(numbers.shape[1]))
+    chosen, most = _spread(x), min(MOST, math.comb(x.shape[1] + 3, 3))
     starts = [Start(order[chosen[0]])]
     for n in range(1, len(chosen)):
         k, earlier = chosen[n], chosen[: 1 << (n.bit_length() - 1)]
@@ -125,11 +127,12 @@ def _spread(x: Array) -> list[int]:
     return chosen
 
 
-def _scale(x: Array) -> Array:
-    """Return numbers (cases, n) over their ranges, from 0 to 1; the ones that do not differ are left out."""
-    least, most = x.min(axis=0), x.max(axis=0)
-    differs = most > least
-    return np.asarray((x[:, differs] - least[differs]) / (most - least)[differs])
+def _scale(x: Array, parts: Sequence[int]) -> Array:
+    """Return numbers (cases, n) over the largest range of their part; the ones that do not differ are left out."""
+    ranges, numbers = np.ptp(x, axis=0), np.array(parts, dtype=np.int64)
+    differs = ranges > 0
+    whole = np.array([ranges[numbers == part].max() for part in numbers[differs].tolist()])
+    return np.asarray((x - x.min(axis=0))[:, differs] / whole)
 
 
 def _measure(x: Array, place: Array) -> Array:

@@ -17,14 +17,18 @@ from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
-from mbsrun.ocp.cases.cases import Case, CaseSolver, Outcome
-from mbsrun.ocp.cases.layers import Start, weigh
-from mbsrun.ocp.methods import mix
+import numpy as np
+from scipy import sparse
+
+from mbsrun.ocp.cases.cases import Case, CaseSolver, Found, Outcome, Try, read
+from mbsrun.ocp.cases.layers import Source, Start, weigh
+from mbsrun.ocp.methods import Near, mix_many
 from mbsrun.ocp.problem.phases import Plants
 from mbsrun.ocp.solving.phases import Neighbour
 
 PART = 1.0  # of the iterations of a solve from a guess, the most that a case tries from its neighbours
 FEWEST = 6  # iterations that it tries
+BLOCK = 64  # cases that are solved at once, at most
 HOPED = 0.75  # of these iterations, before any try
 
 
@@ -67,33 +71,95 @@ def gather(start: Start, origins: Mapping[int, Origin]) -> Origin | None:
 
     The expected share is the mean of the ones that the sources expect.
     """
+    return gather_all([start], origins)[0]
+
+
+def gather_all(starts: Sequence[Start], origins: Mapping[int, Origin]) -> list[Origin | None]:
+    """Return the origins of starts whose sources have ended, as `gather` does; all are mixed at once."""
+    found = [_inherit(start, origins) for start in starts]
+    groups: dict[bytes, list[int]] = {}
+    for k, own in enumerate(found):
+        if own is not None and own.neighbour is not None and own.is_worth_a_try:
+            groups.setdefault(own.neighbour.near.layout, []).append(k)
+    for chosen in groups.values():
+        mixed = _mix([starts[k] for k in chosen], origins)
+        for k, near in zip(chosen, mixed, strict=True):
+            own = found[k]
+            assert own is not None, "it has a neighbour"
+            assert own.neighbour is not None, "it has a neighbour"
+            found[k] = replace(own, neighbour=replace(own.neighbour, near=near))
+    return found
+
+
+def _inherit(start: Start, origins: Mapping[int, Origin]) -> Origin | None:
+    """Return the origin of the nearest source, with the share that all sources expect."""
     if start.parent is None:
         return None
-    own = origins[start.parent]
-    distance = start.distance
-    shares = [origins[source.case].expect(distance) for source in start.sources]
-    own = replace(own, expected=math.fsum(shares) / len(shares))
-    if own.neighbour is None or not own.is_worth_a_try:
-        return own
-    parts = [(source, origins[source.case].neighbour) for source in start.sources]
-    known = [(source, found) for source, found in parts if found is not None and found.near.fits(own.neighbour.near)]
-    near = mix([found.near for _, found in known], weigh([source for source, _ in known]))
-    return replace(own, neighbour=replace(own.neighbour, near=near))
+    shares = [origins[source.case].expect(start.distance) for source in start.sources]
+    return replace(origins[start.parent], expected=math.fsum(shares) / len(shares))
 
 
-Found = tuple[Outcome, Origin]
+def _mix(starts: Sequence[Start], origins: Mapping[int, Origin]) -> list[Near]:
+    """Mix the solutions of sources for each start, whose nearest ones have variables of one order."""
+    ends: list[Near] = []
+    place: dict[int, int] = {}  # of cases among the ends
+    entries: list[tuple[int, int, float]] = []
+    for row, start in enumerate(starts):
+        known = _choose(start, origins)
+        for source, weight in zip(known, weigh(known).tolist(), strict=True):
+            if source.case not in place:
+                own = origins[source.case].neighbour
+                assert own is not None, "it was chosen"
+                place[source.case] = len(ends)
+                ends.append(own.near)
+            entries.append((row, place[source.case], weight))
+    rows, columns, weights = (np.array(part) for part in zip(*entries, strict=True))
+    return mix_many(ends, sparse.csr_array((weights, (rows, columns)), shape=(len(starts), len(ends))))
+
+
+def _choose(start: Start, origins: Mapping[int, Origin]) -> list[Source]:
+    """Return the sources whose solutions have the variables of the nearest one."""
+    own = origins[start.sources[0].case].neighbour
+    assert own is not None, "it is worth a try"
+    return [x for x in start.sources if (other := origins[x.case].neighbour) is not None and other.near.fits(own.near)]
+
+
 T = TypeVar("T")
 Begin = Callable[[Start, Origin | None], "Future[tuple[T, Origin]]"]  # of a solve, on a pool
 
 
-def solve_beside(solver: CaseSolver, case: Case, start: Start, origin: Origin | None) -> Found:
+def solve_beside(solver: CaseSolver, case: Case, start: Start, origin: Origin | None) -> tuple[Outcome, Origin]:
     """Solve a case from its sources' solutions, or else from its own guess."""
+    found = _try_all(solver, [case], [start], [origin])[0]
+    outcome, own = _solve_anew(solver, case, start, origin) if found is None else found
+    return read(outcome), own
+
+
+def _try_all(
+    solver: CaseSolver,
+    cases: Sequence[Case],
+    starts: Sequence[Start],
+    origins: Sequence[Origin | None],
+    threads: int = 1,
+) -> list[tuple[Found, Origin] | None]:
+    """Solve cases from their sources' solutions; None where that does not succeed soon, or is not tried."""
+    found: list[tuple[Found, Origin] | None] = [None] * len(cases)
+    tries, numbers = list[Try](), list[int]()
+    for k, (case, origin) in enumerate(zip(cases, origins, strict=True)):
+        if origin is not None and origin.neighbour is not None and origin.is_worth_a_try:
+            tries.append(Try(case, origin.neighbour, origin.most_iterations))
+            numbers.append(k)
+    for k, near in zip(numbers, solver.solve_near(tries, threads), strict=True):
+        origin = origins[k]
+        if near is not None and origin is not None:
+            led = origin.lead(near.neighbour, near.found.run.iterations, starts[k].distance)
+            found[k] = near.found, led
+    return found
+
+
+def _solve_anew(solver: CaseSolver, case: Case, start: Start, origin: Origin | None) -> tuple[Found, Origin]:
+    """Solve a case from its own guess."""
     kept: list[Neighbour] = []
-    if origin is not None and origin.neighbour is not None and origin.is_worth_a_try:
-        outcome = solver.solve_near(case, origin.neighbour, origin.most_iterations, kept.append)
-        if outcome is not None:
-            return outcome, origin.lead(kept[-1] if kept else None, outcome.run.iterations, start.distance)
-    kept.clear()
     outcome = solver.solve(case, kept.append)
     found, iterations = kept[-1] if kept else None, outcome.run.iterations
     return outcome, Origin(found, iterations) if origin is None else origin.leave(found, iterations, start.distance)
@@ -101,25 +167,45 @@ def solve_beside(solver: CaseSolver, case: Case, start: Start, origin: Origin | 
 
 def solve_neighbours(
     cases: Sequence[Case], starts: Sequence[Start], plants: Plants, threads: int = 1
-) -> Iterator[tuple[int, Outcome]]:
+) -> Iterator[tuple[int, Found]]:
     """Solve cases in layers; yield the number and the outcome of each as it ends, see `solve_cases`."""
-    if threads == 1:
-        yield from _go(cases, starts, CaseSolver(plants))
-        return
-    own = threading.local()
+    own, solver = threading.local(), CaseSolver(plants)
 
     def begin() -> None:
-        own.solver = CaseSolver(plants)
+        own.solver = CaseSolver(plants) if threads > 1 else solver
 
     with ThreadPoolExecutor(threads, initializer=begin) as pool:
-
-        def submit(start: Start, origin: Origin | None) -> Future[Found]:
-            return pool.submit(lambda: solve_beside(own.solver, cases[start.case], start, origin))
-
+        waiting = Waiting(starts)
         try:
-            yield from follow(starts, submit)
+            for block in split(starts):
+                given = [cases[start.case] for start in block]
+                origins = waiting.gather_all(block)
+                found = _try_all(solver, given, block, origins, threads)
+                later = {
+                    k: pool.submit(lambda *asked: _solve_anew(own.solver, *asked), given[k], block[k], origins[k])
+                    for k, one in enumerate(found)
+                    if one is None
+                }
+                for k, start in enumerate(block):
+                    outcome, origin = found[k] or later[k].result()
+                    for _ in waiting.end(start.case, origin):
+                        pass  # they come in the order of the starts
+                    yield start.case, outcome
         finally:
             pool.shutdown(wait=True, cancel_futures=True)
+
+
+def split(starts: Sequence[Start]) -> Iterator[list[Start]]:
+    """Split starts into blocks of which none has sources in itself, each as long as it can be, within a limit."""
+    block, own = list[Start](), set[int]()
+    for start in starts:
+        if block and (len(block) == BLOCK or any(source.case in own for source in start.sources)):
+            yield block
+            block, own = [], set()
+        block.append(start)
+        own.add(start.case)
+    if block:
+        yield block
 
 
 class Waiting:
@@ -136,8 +222,12 @@ class Waiting:
 
     def gather(self, start: Start) -> Origin | None:
         """Return the origin of a start whose sources have ended."""
-        found = gather(start, self.origins)
-        for source in start.sources:
+        return self.gather_all([start])[0]
+
+    def gather_all(self, starts: Sequence[Start]) -> list[Origin | None]:
+        """Return the origins of starts whose sources have ended."""
+        found = gather_all(starts, self.origins)
+        for source in (source for start in starts for source in start.sources):
             self._users[source.case] -= 1
             if not self._users[source.case]:
                 del self.origins[source.case]
@@ -151,16 +241,6 @@ class Waiting:
             self._lacking[child.case] -= 1
             if not self._lacking[child.case]:
                 yield child
-
-
-def _go(cases: Sequence[Case], starts: Sequence[Start], solver: CaseSolver) -> Iterator[tuple[int, Outcome]]:
-    """Solve one case after the other."""
-    waiting = Waiting(starts)
-    for start in starts:
-        outcome, own = solve_beside(solver, cases[start.case], start, waiting.gather(start))
-        for _ in waiting.end(start.case, own):
-            pass  # they come in the order of the starts
-        yield start.case, outcome
 
 
 def follow(starts: Sequence[Start], begin: Begin[T]) -> Iterator[tuple[int, T]]:

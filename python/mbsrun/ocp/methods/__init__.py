@@ -6,9 +6,23 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from mbsrun.ocp.methods.ipopt import IPOPT
-from mbsrun.ocp.methods.method import Answer, Assignment, Instance, Iterate, Method, Near, Solver, mix
+from mbsrun.ocp.methods.method import (
+    Answer,
+    AnswerStack,
+    Assignment,
+    Instance,
+    Iterate,
+    Method,
+    Near,
+    Solver,
+    Stack,
+    StackSolver,
+    mix,
+    mix_many,
+)
 from mbsrun.ocp.methods.options import Amount, Choice, Option
 from mbsrun.ocp.methods.sqp import SQP
+from mbsrun.ocp.methods.stacks import make_stacks
 from mbsrun.ocp.methods.stages import STAGES
 from mbsrun.ocp.problem.problem import SolverName, SolverOptions
 
@@ -16,6 +30,7 @@ __all__ = [
     "METHODS",
     "Amount",
     "Answer",
+    "AnswerStack",
     "Assignment",
     "Choice",
     "Instance",
@@ -24,13 +39,16 @@ __all__ = [
     "Near",
     "Option",
     "Solver",
+    "Stack",
+    "StackSolver",
     "choose",
     "mix",
+    "mix_many",
     "settle",
     "warm",
 ]
 
-METHODS: Mapping[str, Method] = {"ipopt": IPOPT, "sqpmethod": SQP, "mbs": STAGES}
+METHODS: Mapping[str, Method] = {"ipopt": IPOPT, "sqpmethod": SQP, "mbs": replace(STAGES, make_many=make_stacks)}
 
 
 def choose(solver: SolverOptions, *, calls_casadi: bool = False) -> SolverName:

@@ -6,10 +6,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy import sparse
 
 from mbsrun.ocp.evaluation.backends.prepared import Prepared
 from mbsrun.ocp.evaluation.stages.binding import Point
-from mbsrun.ocp.ground.functions import Array
+from mbsrun.ocp.ground.functions import Array, Indices
 from mbsrun.ocp.methods.options import Option, Settings
 
 
@@ -48,14 +49,58 @@ class Near:
         """Return whether another one has the same variables."""
         return self.layout == other.layout and self.point.fits(other.point)
 
+    def scale(self, factor: float) -> Near:
+        """Return it with multipliers of a cost that is multiplied by a factor."""
+        point = self.point
+        return Near(self.layout, Point(point.w, factor * point.below, factor * point.above, factor * point.y))
+
 
 def mix(ends: Sequence[Near], weights: Array) -> Near:
     """Return the mean of ends that fit, with weights that may be negative; multipliers of bounds stay at least 0."""
+    return mix_many(ends, sparse.csr_array(weights[None]))[0]
+
+
+def mix_many(ends: Sequence[Near], weights: sparse.csr_array) -> list[Near]:
+    """Return means of ends that fit, with weights (means, ends), as `mix` does."""
     w, below, above, y = (
-        sum((weight * part for weight, part in zip(weights[1:], parts[1:], strict=True)), weights[0] * parts[0])
-        for parts in zip(*(end.point.parts for end in ends), strict=True)
+        np.asarray(weights @ np.stack(parts)) for parts in zip(*(end.point.parts for end in ends), strict=True)
     )
-    return Near(ends[0].layout, Point(w, np.maximum(below, 0.0), np.maximum(above, 0.0), y))
+    rows = zip(w, np.maximum(below, 0.0), np.maximum(above, 0.0), y, strict=True)
+    return [Near(ends[0].layout, Point(*row)) for row in rows]
+
+
+@dataclass(frozen=True, eq=False)
+class Stack:
+    """The numbers of many solves that start near solutions, (cases, size) each; see `Instance`."""
+
+    parameters: Array
+    lower: Array
+    upper: Array
+    g_lower: Array
+    g_upper: Array
+    scales: Array
+    scaling: Array  # of the objective, as the solver sees it, (cases,)
+    near: tuple[Near, ...]
+    most_iterations: Indices  # (cases,); 0: as many as the method has
+
+    @property
+    def count(self) -> int:
+        """Count the solves."""
+        return len(self.near)
+
+
+@dataclass(frozen=True, eq=False)
+class AnswerStack:
+    """The results of many solves, (cases, size) each; see `Answer`."""
+
+    x: Array
+    statuses: tuple[str, ...]
+    iterations: Indices
+    multipliers: Array
+    near: tuple[Near, ...]
+    seconds: Array
+    evaluating: Array
+    cpu_seconds: Array
 
 
 @dataclass(frozen=True)
@@ -96,6 +141,7 @@ class Answer:
 
 
 Solver = Callable[[Instance], Answer]
+StackSolver = Callable[[Stack], AnswerStack]
 
 
 @dataclass(frozen=True)
@@ -108,3 +154,4 @@ class Method:
     warm: Settings = field(default_factory=dict)  # options of starts near a solution
     calls_casadi: bool = True  # whether programs may hold expressions of CasADi
     has_threads: bool = False  # whether a solve may have several
+    make_many: Callable[[Assignment, int], StackSolver] | None = None  # solves stacks in a number of threads

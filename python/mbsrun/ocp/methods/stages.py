@@ -92,7 +92,7 @@ STATUSES = {
 
 def make_stages(order: Assignment) -> Solver:
     """Make the method for a program."""
-    settings, has_lanes = _read_settings(order), order.options.get(LANES) == "yes"
+    settings, has_lanes = read_settings(order), order.options.get(LANES) == "yes"
     tables: dict[bytes, binding.Tables] = {}
     free: dict[bytes, list[binding.Solver]] = {}  # solvers that nobody uses now
     lock = threading.Lock()
@@ -135,7 +135,7 @@ def make_stages(order: Assignment) -> Solver:
             else:
                 most = start.most_iterations
                 if most not in starts:
-                    starts[most] = _start_near(settings, most)
+                    starts[most] = start_near(settings, most)
                 outcome = solver.solve(start.near.point, numbers, starts[most], watch)
         finally:
             with lock:
@@ -149,7 +149,7 @@ def make_stages(order: Assignment) -> Solver:
     return solve
 
 
-def _read_settings(order: Assignment) -> binding.Settings:
+def read_settings(order: Assignment) -> binding.Settings:
     """Return the options by the names of the C structure; switches are 1 or 0.
 
     Where the program eliminates variables, as in shooting, they follow the others in line searches, too.
@@ -164,7 +164,7 @@ def _read_settings(order: Assignment) -> binding.Settings:
     return binding.Settings({**limits, **numbers}, float(given.get("max_wall_time", 0.0)))
 
 
-def _start_near(settings: binding.Settings, most_iterations: int) -> binding.Settings:
+def start_near(settings: binding.Settings, most_iterations: int) -> binding.Settings:
     """Return the options of a start from the solution of another problem, with its multipliers."""
     most = min(settings.values["max_iter"], float(most_iterations or np.inf))
     return replace(settings, values={**settings.values, "warm_start_init_point": 2.0, "max_iter": most})
@@ -221,7 +221,7 @@ def _read_multipliers(program: Program, tables: StageProgram, outcome: binding.O
     A row that gives a next state has the factor -1 / a in the tables, where a is the coefficient of that state. A row
     that is a first state gives bounds of it, which have its multiplier.
     """
-    places, rows, factors = _MULTIPLIERS.find(lambda: _place_multipliers(program, tables), tables, program)
+    places, rows, factors = MULTIPLIERS.find(lambda: place_multipliers(program, tables), tables, program)
     weights = factors * outcome.point.y[places]
     found = np.asarray(np.bincount(rows, weights, minlength=program.constraints), dtype=np.float64)
     variable, row = tables.fixed.T
@@ -229,7 +229,7 @@ def _read_multipliers(program: Program, tables: StageProgram, outcome: binding.O
     return found[program.kept_rows]
 
 
-def _place_multipliers(program: Program, tables: StageProgram) -> tuple[Indices, Indices, Array]:
+def place_multipliers(program: Program, tables: StageProgram) -> tuple[Indices, Indices, Array]:
     """Return the multipliers of the tables that the program's rows have, these rows, and factors."""
     kinds = [tables.kinds[kind] for kind in tables.kind_of_stage]
     first = np.cumsum([0, *(kind.nx + kind.nv for kind in kinds)])
@@ -250,7 +250,7 @@ def _place_multipliers(program: Program, tables: StageProgram) -> tuple[Indices,
     return np.concatenate(chosen), np.concatenate(rows), np.concatenate(factors)
 
 
-_MULTIPLIERS = Memory[tuple[Indices, Indices, Array]]()
+MULTIPLIERS = Memory[tuple[Indices, Indices, Array]]()
 _NONE = np.zeros(0, dtype=np.int64)
 
 

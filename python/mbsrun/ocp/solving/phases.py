@@ -77,7 +77,7 @@ class Neighbour:
 
     guess: Guess  # its motions
     x: Array
-    near: Near
+    near: Near  # with multipliers of the cost itself, as no method scales it
     scales: Array | None  # usual sizes of x
     cost_scale: float
 
@@ -106,6 +106,7 @@ class PhasedSolver:
         first, *others = self.plants.every
         self.program = Prepared(self.transcription.program, first, tuple(others))
         self._solvers: dict[SolverOptions, methods.Solver] = {}
+        self._stacks: dict[tuple[SolverOptions, int], methods.StackSolver] = {}
 
     def solve(
         self,
@@ -140,6 +141,17 @@ class PhasedSolver:
         The first step of Newton's method is the tangential prediction. Scales are the neighbour's. `note` gets the
         solution as a neighbour. Raises ProblemError, or ValueError, as `solve` does.
         """
+        numbered = self.number_near(problem, own, most_iterations)
+        if numbered is None:
+            return None
+        problem, start = numbered
+        near = own.near.scale(self.scale(problem, own.cost_scale))
+        return self.finish_near(problem, self._call(problem, replace(start, near=near)), own, note)
+
+    def number_near(
+        self, problem: PhasedProblem, own: Neighbour, most_iterations: int
+    ) -> tuple[PhasedProblem, Instance] | None:
+        """Return a checked problem, and its numbers beside the start near a solution; None where bounds cross."""
         problem = self._check(problem)
         if self._find_crossed(problem) is not None:
             return None
@@ -151,18 +163,52 @@ class PhasedSolver:
             *numbers.constraint_bounds(freed),
             scales=own.scales,
             cost_scale=own.cost_scale,
-            near=own.near,
             most_iterations=most_iterations,
         )
-        outcome = self._call(problem, start)
+        return problem, start
+
+    def finish_near(
+        self, problem: PhasedProblem, outcome: Outcome, own: Neighbour, note: Note | None = None
+    ) -> PhasedSolution | None:
+        """Return the solution at which a start near `own` ended; None where there is none."""
         if outcome.run.status != SOLVED or not np.isfinite(outcome.x).all():
             return None
         found = self._answer(problem, outcome)
         if isinstance(found, Failure):
             return None
         if note is not None and outcome.near is not None:
-            note(replace(own, guess=found.guess, x=outcome.x, near=outcome.near))
+            near = outcome.near.scale(1 / self.scale(problem, own.cost_scale))
+            note(replace(own, guess=found.guess, x=outcome.x, near=near))
         return self._sharpen(problem, outcome, found)
+
+    def scale(self, problem: PhasedProblem, cost_scale: float) -> float:
+        """Return the factor of the cost as the method sees it."""
+        return cost_scale * (self.choose_method(problem).objective_scaling or 1.0)
+
+    def make_stacks(self, problem: PhasedProblem, threads: int) -> methods.StackSolver | None:
+        """Return what solves many problems of one structure and method at once; None where the method cannot."""
+        options = replace(self.choose_method(problem), objective_scaling=None)
+        make, key = METHODS[methods.choose(options)].make_many, (options, threads)
+        if make is None or options.threads > 1 or dict(options.options).get("max_wall_time"):
+            return None
+        if key not in self._stacks:
+            settings = dict(options.options)
+            order = Assignment(self.program, options.tolerance, options.max_iterations, 1.0, settings, 1)
+            self._stacks[key] = make(order, threads)
+        return self._stacks[key]
+
+    def read(self, problem: PhasedProblem, run: Run, x: Array) -> PhasedSolution:
+        """Return the solution at a point that was judged. Raises NoNumbersError."""
+        return self._read(problem, run, x)
+
+    def needs_sharpening(self, problem: PhasedProblem, run: Run, cost: float, cost_scale: float) -> bool:
+        """Return whether small changes may lower a cost by a sizable part of it."""
+        options = problem.solver
+        loose = options.tolerance > SolverOptions.tolerance  # `mbs` does not go on with it
+        if run.status not in ((SOLVED, ACCEPTABLE) if loose else (SOLVED,)) or not run.decrease or not self._is_judged:
+            return False
+        worth = (1 / options.objective_scaling if options.objective_scaling else problem.weight) / cost_scale
+        return abs(cost) > options.tolerance * worth and run.decrease > SIZABLE * abs(cost)
 
     def _find_crossed(self, problem: PhasedProblem) -> Failure | None:
         """Return a failure where bounds cross."""
@@ -191,7 +237,8 @@ class PhasedSolver:
         found = self._answer(problem, outcome)
         if isinstance(found, PhasedSolution):
             if note is not None and outcome.near is not None:
-                note(Neighbour(found.guess, outcome.x, outcome.near, start.scales, start.cost_scale))
+                near = outcome.near.scale(1 / self.scale(problem, start.cost_scale))
+                note(Neighbour(found.guess, outcome.x, near, start.scales, start.cost_scale))
             return self._sharpen(problem, outcome, found)
         return self._insist(problem, outcome, found) if found.run.status == NOT_OPTIMAL else found
 
@@ -214,12 +261,7 @@ class PhasedSolver:
         comes to another minimum, the first one stays.
         """
         options, run = problem.solver, found.run
-        loose = options.tolerance > SolverOptions.tolerance  # `mbs` does not go on with it
-        if run.status not in ((SOLVED, ACCEPTABLE) if loose else (SOLVED,)) or not run.decrease or not self._is_judged:
-            return found
-        worth = 1 / options.objective_scaling if options.objective_scaling else problem.weight
-        cost, worth = abs(found.cost), worth / outcome.start.cost_scale
-        if cost <= options.tolerance * worth or run.decrease <= SIZABLE * cost:
+        if not self.needs_sharpening(problem, run, found.cost, outcome.start.cost_scale) or run.decrease is None:
             return found
         finer = _sharpened(problem)
         again = self._call(finer, replace(outcome.start, x=outcome.x))

@@ -74,7 +74,7 @@ def build(program: Program, plant: Plant, others: tuple[Plant, ...] = ()) -> Fun
 
 
 @dataclass(frozen=True)
-class _Placed:
+class Placed:
     """A block, its parts of x and its evaluation."""
 
     parts: Parts
@@ -223,17 +223,17 @@ class NumpyProgram:
     # --- blocks ---
 
     @cached_property
-    def _blocks(self) -> list[_Placed]:
+    def _blocks(self) -> list[Placed]:
         return [self._place(block) for block in self.program.blocks]
 
     @cached_property
-    def _costs(self) -> list[_Placed]:
+    def _costs(self) -> list[Placed]:
         return [self._place(block) for block in self.program.costs]
 
-    def _place(self, block: Block) -> _Placed:
-        return _Placed(prepare(block, self.program.variables), self._bind[block.plant](block.function, block.places))
+    def _place(self, block: Block) -> Placed:
+        return Placed(prepare(block, self.program.variables), self._bind[block.plant](block.function, block.places))
 
-    def _put(self, blocks: Sequence[_Placed], x: Array, p: Array, size: int) -> Array:
+    def _put(self, blocks: Sequence[Placed], x: Array, p: Array, size: int) -> Array:
         """Scale the results of blocks, and sum them into their rows."""
         found = np.zeros(size)
         for placed in blocks:

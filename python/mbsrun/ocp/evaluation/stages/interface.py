@@ -1,4 +1,4 @@
-"""The C of `csrc/stages`, `csrc/program` and `csrc/threads`, compiled once and cached, with the declarations of its
+"""The C of `csrc/stages`, `program`, `cases` and `threads`, compiled once and cached, with the declarations of its
 headers.
 """
 
@@ -14,7 +14,7 @@ from mbsgen import resources
 from mbsrun.binding import declare
 from mbsrun.library import CompileError, compile_library, find_compiler, once_per_compiler
 
-_TIMED = "mbs_timed_program.c"
+_TIMED, _CASES = "mbs_timed_program.c", "mbs_cases.c"
 _COMMENTS = re.compile(r"/\*.*?\*/", re.DOTALL)
 _CPLUSPLUS = re.compile(r"#ifdef __cplusplus.*?#endif", re.DOTALL)
 _PRECISION = re.compile(r"#ifdef MBS_STAGES_FLOAT.*?#else(.*?)#endif", re.DOTALL)
@@ -30,14 +30,14 @@ def read_declarations(text: str) -> str:
 @once_per_compiler
 def load() -> tuple[Any, Any]:
     """Compile and load the solver and the evaluator. Raises CompileError."""
-    folders = [resources.folder("csrc") / name for name in ("stages", "program", "timing")]
-    headers = ("mbs_stages.h", "mbs_program.h", "mbs_timed_program.h")
+    folders = [resources.folder("csrc") / name for name in ("stages", "program", "timing", "cases")]
+    headers = ("mbs_stages.h", "mbs_program.h", "mbs_timed_program.h", "mbs_cases.h")
     paths = (*map(Path.joinpath, folders, headers), _find_threads() / "mbs_threads.h")
     ffi = declare("\n".join(read_declarations(path.read_text(encoding="utf-8")) for path in paths))
     names = sorted(file.name for folder in folders[:2] for file in folder.glob("*.c"))
     compiler = find_compiler(os.environ)
     compiler = replace(compiler, flags=(*compiler.flags, "-DMBS_PROGRAM_LANES"))
-    library = compile_library(folders[0], "mbs_stages", [*names, _TIMED], compiler, *folders[1:], rows=names)
+    library = compile_library(folders[0], "mbs_stages", [*names, _TIMED, _CASES], compiler, *folders[1:], rows=names)
     return ffi, ffi.dlopen(str(library))
 
 
