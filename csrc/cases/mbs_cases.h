@@ -1,7 +1,7 @@
 /* Many problems of one kind, one after the other in one call: their numbers lie in stacks, a row for each case.
  *
  * Each case starts near a solution, or from a guess, as its options say, and knows nothing of the others. A part of a
- * stack may be solved by another worker, with memory of its own; no number depends on how the stack is divided.
+ * stack may be solved by another worker with separate memory; no number depends on how the stack is divided.
  *
  * Lies in a folder of csrc: compile with -I csrc/stages, -I csrc/program and -I csrc/timing. */
 #ifndef MBS_CASES_H

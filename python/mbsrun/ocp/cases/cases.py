@@ -52,7 +52,7 @@ class Try:
 
 @dataclass(frozen=True, eq=False)
 class Near:
-    """What a start from neighbours found, and itself as a start of others."""
+    """The solution of a start from neighbours, and itself as a start of others."""
 
     found: Found
     neighbour: Neighbour | None

@@ -17,7 +17,6 @@ from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
-import numpy as np
 from scipy import sparse
 
 from mbsrun.ocp.cases.cases import Case, CaseSolver, Found, Outcome, Try, read
@@ -103,18 +102,20 @@ def _mix(starts: Sequence[Start], origins: Mapping[int, Origin]) -> list[Near]:
     """Mix the solutions of sources for each start, whose nearest ones have variables of one order."""
     ends: list[Near] = []
     place: dict[int, int] = {}  # of cases among the ends
-    entries: list[tuple[int, int, float]] = []
-    for row, start in enumerate(starts):
+    columns, weights, first = list[int](), list[float](), [0]
+    for start in starts:
         known = _choose(start, origins)
-        for source, weight in zip(known, weigh(known).tolist(), strict=True):
+        for source in known:
             if source.case not in place:
                 own = origins[source.case].neighbour
                 assert own is not None, "it was chosen"
                 place[source.case] = len(ends)
                 ends.append(own.near)
-            entries.append((row, place[source.case], weight))
-    rows, columns, weights = (np.array(part) for part in zip(*entries, strict=True))
-    return mix_many(ends, sparse.csr_array((weights, (rows, columns)), shape=(len(starts), len(ends))))
+            columns.append(place[source.case])
+        weights += weigh(known).tolist()
+        first.append(len(columns))
+    # sums go from the nearest source on, whatever is mixed beside: indices stay in this order
+    return mix_many(ends, sparse.csr_array((weights, columns, first), shape=(len(starts), len(ends))))
 
 
 def _choose(start: Start, origins: Mapping[int, Origin]) -> list[Source]:

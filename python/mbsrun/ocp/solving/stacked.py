@@ -114,7 +114,7 @@ class StackedJudge:
         return np.minimum(whole, decrease), allowed, whole, violation, has_alone
 
     def _bound_by_rows(self, data: Array, below: Array, above: Array, row_below: Array, row_above: Array) -> Mask:
-        """Let rows of one variable bound it; return the cases where all of these rows have a slope."""
+        """Bound variables by rows that read one alone; return the cases where all of these rows have a slope."""
         row, at, value = self.row[self._alone], self.column[self._alone], data[:, self._alone]
         falls = np.where(value > 0, row_below[:, row], row_above[:, row]) / np.abs(value)
         rises = np.where(value > 0, row_above[:, row], row_below[:, row]) / np.abs(value)

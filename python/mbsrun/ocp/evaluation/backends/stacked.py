@@ -22,7 +22,7 @@ from mbsrun.ocp.ground.program import Block, Matrix
 
 @dataclass(frozen=True, eq=False)
 class Values:
-    """What a program's functions are at many points, (cases, size) each."""
+    """The values of a program's functions at many points, (cases, size) each."""
 
     terms: Array  # of the cost, without their weights
     gradient: Array

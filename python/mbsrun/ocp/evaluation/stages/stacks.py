@@ -1,7 +1,7 @@
 """Many problems of one kind solved in one call of C, or one for each thread: stacks of numbers -> stacks of points.
 
 A stack has a row for each case. Cases whose bounds are equal in the same places share a solver; threads take parts of a
-stack, each with a solver of its own. No number depends on these parts.
+stack, each with a separate solver. No number depends on these parts.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class PointStack:
 
 @dataclass(frozen=True, eq=False)
 class OutcomeStack:
-    """How many solves ended, (cases,) each, beside their points."""
+    """The ends of many solves, (cases,) each, beside their points."""
 
     points: PointStack
     statuses: tuple[str, ...]  # of the C enumeration
