@@ -9,8 +9,9 @@ from typing import cast
 import numpy as np
 import pytest
 
+from mbsrun.ocp.cases import neighbours
 from mbsrun.ocp.cases.layers import Place, Source, Start, find_starts, keep_paths, weigh
-from mbsrun.ocp.cases.neighbours import FEWEST, HOPED, Origin, Waiting, follow, gather
+from mbsrun.ocp.cases.neighbours import BLOCK, FEWEST, HOPED, SECONDS, Origin, Pace, Waiting, follow, gather, split
 from mbsrun.ocp.evaluation.stages.binding import Point
 from mbsrun.ocp.methods import Near, mix
 from mbsrun.ocp.solution.phases import Guess
@@ -34,7 +35,7 @@ def test_sources_are_the_nearest_of_earlier_layers(seed: int) -> None:
         earlier = [start.case for start in starts[:first]]
         for start in starts[first:end]:
             distances = np.linalg.norm(unit[earlier] - unit[start.case], axis=1)
-            assert [source.distance for source in start.sources] == pytest.approx(np.sort(distances)[:8])
+            assert [source.distance for source in start.sources] == pytest.approx(np.sort(distances)[:16])
             for source in start.sources:
                 assert unit[source.case] - unit[start.case] == pytest.approx(source.offset, abs=1e-15)
 
@@ -171,3 +172,54 @@ def test_tries_that_cost_more_than_they_save_are_left_out() -> None:
     left_out = Origin(neighbour, 20, expected=1.5).leave(neighbour, 20, 0.5)
     assert left_out.expect(0.5) == 1.5
     assert Origin(neighbour, 20).expect(3.0) == HOPED
+
+
+def test_blocks_hold_no_sources_of_theirs_and_shrink_where_cases_take_long() -> None:
+    """A block is over before anybody hears of it."""
+    starts = find_starts(place(np.linspace(0, 1, 200)[:, None]))
+    blocks = list(split(starts, Pace(1)))
+    assert [start for block in blocks for start in block] == list(starts)
+    assert [len(block) for block in blocks[:5]] == [1, 1, 2, 4, 8]
+    assert max(map(len, blocks)) == BLOCK
+    for block in blocks:
+        assert not {start.case for start in block} & {source.case for start in block for source in start.sources}
+    pace, sizes = Pace(3), list[int]()
+    for block in split(starts, pace):
+        sizes.append(len(block))
+        pace.learn(SECONDS * len(block), len(block))
+    assert max(sizes) == 3
+    pace.learn(SECONDS, 10)
+    assert pace.most == 10
+    pace.learn(9.0, 0)
+    assert pace.most == 10
+
+
+def test_vectors_have_one_scale_of_distance() -> None:
+    """A flat range of a vector is no far one; separate keys each have their range."""
+    x = [(a, b) for a in (0.0, 1.0) for b in (0.0, 0.01, 0.02)]
+    apart = find_starts([Place("a", own, (0, 1)) for own in x])
+    joined = find_starts([Place("a", own, (0, 0)) for own in x])
+    assert {start.case for start in joined[:2]} in ({k, j} for k in range(3) for j in range(3, 6))
+    assert max(start.distance for start in joined[2:]) < 0.05
+    assert max(start.distance for start in apart[2:]) > 0.4
+
+
+def test_a_mixture_has_the_same_bits_whatever_is_mixed_beside() -> None:
+    """Sums go from the nearest source on."""
+    rng, guess = np.random.default_rng(3), cast("Guess", object())
+    points = rng.standard_normal((6, 4, 5)) * 10.0 ** rng.integers(-6, 6, (6, 1, 1))
+    own = [Neighbour(guess, x[0], Near(b"", Point(*x)), None, 1.0) for x in points]
+    origins = {k: Origin(one, 10) for k, one in enumerate(own)}
+    starts = [
+        Start(6 + i, tuple(Source(k, (0.1 * (i + 1) * (n + 1), 0.3 * k)) for n, k in enumerate(order)))
+        for i, order in enumerate(([3, 1, 5, 0], [5, 4, 3, 2, 1, 0], [0, 3]))
+    ]
+    together = neighbours.gather_all(starts, origins)
+    for start, one in zip(starts, together, strict=True):
+        alone = gather(start, origins)
+        assert one is not None
+        assert alone is not None
+        assert one.neighbour is not None
+        assert alone.neighbour is not None
+        for a, b in zip(one.neighbour.near.point.parts, alone.neighbour.near.point.parts, strict=True):
+            assert np.array_equal(a, b)

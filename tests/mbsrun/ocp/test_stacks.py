@@ -120,9 +120,9 @@ def test_verdicts_are_the_ones_of_the_judge_of_single_points(kind: str) -> None:
     values = StackedProgram(solver.program, len(x)).evaluate(x, np.array([own.parameters for own in owns]))
     pattern = solver.program.numpy.jacobian(x[0], owns[0].parameters)
     scales = np.array([np.ones(own.x.size) if own.scales is None else own.scales for own in owns])
-    limits = Limits(
-        *(np.array([getattr(own, n) for own in owns]) for n in ("lower", "upper", "g_lower", "g_upper")), scales
-    )
+    names = "lower", "upper", "g_lower", "g_upper"
+    sides = [np.array([getattr(own, name) for own in owns]) for name in names]
+    limits = Limits(sides[0], sides[1], sides[2], sides[3], scales)
     weights = np.linspace(0.5, 2, len(x))
     found = StackedJudge(pattern).judge(x, values, limits, lam, 1e-8, weights)
     decided = 0
@@ -169,9 +169,9 @@ def near() -> tuple[PhasedSolver, list[NearStart]]:
 
 
 def read(answer: NearAnswer | None) -> PhasedSolution | None:
-    if answer is None or isinstance(answer.found, PhasedSolution):
-        return None if answer is None else answer.found
-    return answer.found.solution
+    if answer is None:
+        return None
+    return answer.found.solution if isinstance(answer.found, Late) else answer.found
 
 
 @pytest.mark.parametrize("threads", [1, 3])
@@ -225,16 +225,24 @@ def spoil(point: Any) -> Any:
     return replace(judge(point, 1e-8, 1.0), decrease=1e3, is_sure=True)
 
 
-def test_stacks_are_divided_where_cases_differ_in_what_is_bounded() -> None:
-    """Ranges that are equal, open or closed change tables and solvers; crossed bounds fail alone."""
+def test_cases_that_bound_other_numbers_are_divided() -> None:
+    """Open limits and equal ones are other kinds of cases, with other tables or solvers."""
     problem, _ = state("given time", PLACES)
-    ranges = [[-1, 3], None, [-1, 3], [-2, None], [-1, 3]]
-    over = {"end.pose.cart": PLACES[:5], "constraints[0].range": [[-1, 3] if r is None else r for r in ranges]}
+    ranges: list[Any] = [[-1, 3], [-1, None], [-1, 3], [None, 3], [-1, 3]]
+    over: dict[str, Any] = {"end.pose.cart": PLACES[:5], "constraints[0].range": ranges}
     found = problem.solve_many(over, check=False, neighbours=True)
     assert found.is_solved.all()
     expected = problem.solve_many(over, check=False)
     assert found.cost == pytest.approx(expected.cost, rel=1e-7)
     assert found.statuses == expected.statuses
+
+
+def test_starts_of_another_layout_are_no_starts(near: tuple[PhasedSolver, list[NearStart]]) -> None:
+    """The others of the stack are solved nevertheless."""
+    solver, starts = near
+    other = replace(starts[0].own.near, layout=b"other")
+    mixed = [replace(starts[0], own=replace(starts[0].own, near=other)), starts[3]]
+    assert [one is None for one in solve_all_near(solver, mixed)] == [True, False]
 
 
 def test_motions_are_read_when_somebody_looks(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 import threading
+import time
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
@@ -28,6 +29,7 @@ from mbsrun.ocp.solving.phases import Neighbour
 PART = 1.0  # of the iterations of a solve from a guess, the most that a case tries from its neighbours
 FEWEST = 6  # iterations that it tries
 BLOCK = 64  # cases that are solved at once, at most
+SECONDS = 2.0  # for these, of which nobody hears before all have ended
 HOPED = 0.75  # of these iterations, before any try
 
 
@@ -176,9 +178,10 @@ def solve_neighbours(
         own.solver = CaseSolver(plants) if threads > 1 else solver
 
     with ThreadPoolExecutor(threads, initializer=begin) as pool:
-        waiting = Waiting(starts)
+        waiting, pace = Waiting(starts), Pace(threads)
         try:
-            for block in split(starts):
+            for block in split(starts, pace):
+                begun = time.perf_counter()
                 given = [cases[start.case] for start in block]
                 origins = waiting.gather_all(block)
                 found = _try_all(solver, given, block, origins, threads)
@@ -187,6 +190,7 @@ def solve_neighbours(
                     for k, one in enumerate(found)
                     if one is None
                 }
+                pace.learn(time.perf_counter() - begun, len(block) - len(later))
                 for k, start in enumerate(block):
                     outcome, origin = found[k] or later[k].result()
                     for _ in waiting.end(start.case, origin):
@@ -196,11 +200,23 @@ def solve_neighbours(
             pool.shutdown(wait=True, cancel_futures=True)
 
 
-def split(starts: Sequence[Start]) -> Iterator[list[Start]]:
-    """Split starts into blocks of which none has sources in itself, each as long as it can be, within a limit."""
+class Pace:
+    """The number of cases that are solved at once: fewer where each takes long. No result depends on it."""
+
+    def __init__(self, least: int) -> None:
+        self.least, self.most = least, BLOCK
+
+    def learn(self, seconds: float, count: int) -> None:
+        """Choose by the time that some cases took."""
+        if count:
+            self.most = max(self.least, min(BLOCK, int(SECONDS * count / max(seconds, 1e-9))))
+
+
+def split(starts: Sequence[Start], pace: Pace) -> Iterator[list[Start]]:
+    """Split starts into blocks of which none has sources in itself, each as long as it can be, within the pace."""
     block, own = list[Start](), set[int]()
     for start in starts:
-        if block and (len(block) == BLOCK or any(source.case in own for source in start.sources)):
+        if block and (len(block) >= pace.most or any(source.case in own for source in start.sources)):
             yield block
             block, own = [], set()
         block.append(start)
