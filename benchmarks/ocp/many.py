@@ -195,8 +195,8 @@ def write(rows: Sequence[Measured], machine: str, remark: str) -> str:
         numbers = (row.alone, row.cases, row.threads, row.solver, row.beside, row.inside, row.ratio)
         shown = f"{' | '.join(f'{x:.3g}' for x in numbers)} | {row.minima} | {row.ipopt:.3g}"
         counts = f"{row.count} | {row.solved} | {row.variables} | {row.iterations:.0f}"
-        times = f"{row.ipopt / row.solver:.3g} | {row.ipopt / row.beside:.3g}"
-        lines.append(f"| {row.family} | {counts} | {shown} | {times} | {row.agree} |")
+        faster = f"{row.ipopt / row.solver:.3g} | {row.ipopt / row.beside:.3g}"
+        lines.append(f"| {row.family} | {counts} | {shown} | {faster} | {row.agree} |")
     lines += [
         "",
         "Without neighbours, each case is solved anew, so cases take as long as single solves, and their statements.",
