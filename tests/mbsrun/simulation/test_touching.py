@@ -184,6 +184,38 @@ def test_balls_in_a_row_pass_the_velocity_on(make: Make) -> None:
     assert motion.qd[-1] == pytest.approx([-1 / 3, 2 / 3, 2 / 3], abs=1e-13)
 
 
+def test_balls_that_meet_within_one_long_step_do_not_pass_through_each_other(make: Make) -> None:
+    """Nothing bends their motion, so steps are as long as a tolerance lets them; masses 2, 3, 1.5, and e = 0.6."""
+    text, e, v = "name: cradle\ngravity: [0, 0, 0]\nbodies:\n", 0.6, 1.3
+    for name, mass in zip("abc", (2, 3, 1.5), strict=True):
+        text += f"  - {{name: {name}, joint: {{type: prismatic, axis: x, actuated: false}}, mass: {mass}}}\n"
+    text += "contacts:\n"
+    for one, other in ("ab", "bc"):
+        sides = f"body: {one}, radius: 0.1, sphere: {{body: {other}, radius: 0.1}}"
+        text += f"  - {{name: {one}{other}, {sides}, restitution: {e}}}\n"
+    motion = move(make(text), [0, 0.5, 1.5], [v, 0, 0], 4.0)
+    a, b = v * (2 - 3 * e) / 5, v * 2 * (1 + e) / 5
+    assert motion.qd[-1] == pytest.approx([a, b * (3 - 1.5 * e) / 4.5, b * 3 * (1 + e) / 4.5], abs=1e-13)
+    assert times(motion, Kind.IMPACT) == pytest.approx([0.3 / v, 0.3 / v + 0.8 / b], abs=1e-13)
+
+
+@pytest.mark.parametrize("miss", [0.0, 0.17, 0.199, 0.2001])
+def test_a_ball_that_flies_past_another_hits_it_or_not(miss: float, make: Make) -> None:
+    """At a distance of the lines of flight below both radii, it hits where the centres are 0.2 apart."""
+    text = "name: pass\ngravity: [0, 0, 0]\nbodies:\n  - name: a\n    joint:\n"
+    for axis in "xy":
+        text += f"      - {{name: {axis}, type: prismatic, axis: {axis}, actuated: false}}\n"
+    text += "    mass: 2\ncontacts:\n  - {name: c, body: a, radius: 0.1, sphere: {radius: 0.1}, restitution: 1}\n"
+    motion = move(make(text), [-3.0, miss], [1.1, 0], 9.0)
+    if miss > 0.2:
+        assert motion.events == ()
+        return
+    along = np.sqrt(0.04 - miss**2)
+    assert times(motion, Kind.IMPACT) == pytest.approx([(3 - along) / 1.1], abs=1e-12)
+    n = np.array([-along, miss]) / 0.2
+    assert motion.qd[-1] == pytest.approx(np.array([1.1, 0]) - 2 * 1.1 * n[0] * n, abs=1e-11)
+
+
 def test_wheels_that_slip_in_a_plane_come_to_roll() -> None:
     """A bicycle whose wheels start to slip sideways: the slip of a wheel turns round ever faster before it ends.
 

@@ -28,6 +28,8 @@ Array = NDArray[np.float64]
 STEPS = 64  # yielded at a time
 LOOKS = np.array([0.25, 0.5, 0.75, 1.0])  # parts of a step, for numbers that fall below 0 and rise again within it
 ROUNDED = 1e-9  # of a fixed step: what the sum of all before it is rounded to
+DIPS = 40  # halvings of a part of a step, to where a guard is least
+DEEP = 1e-11  # m: a distance that falls less below 0 has not fallen
 CLOSEST = 4 * np.finfo(float).eps
 
 
@@ -181,18 +183,24 @@ class Stepwise(Course, Generic[M, G]):
     def look(
         self, piece: Piece, mode: M, guards: list[G], time: float, x: Array, h: float, ends: Array
     ) -> tuple[float, Array] | None:
-        """Find the first event in a step, by the states after its parts; return the length up to it, and the state."""
+        """Find the first event in a step, by the states after its parts; return the length up to it, and the state.
+
+        Between two parts, a guard may have fallen below 0 and risen again: its rates at both show that.
+        """
         if not guards:
             return None
         parts = h * LOOKS
         values = self.measure(piece, mode, guards, time + parts, ends)
-        if (values >= 0).all():
+        below = np.flatnonzero((values < 0).any(axis=1))
+        first = int(below[0]) if below.size else len(parts)
+        dip = self.find_dip(piece, mode, guards, time, x, parts[:first], ends[:first])
+        if dip is not None:
+            low, high, fallen = dip
+        elif below.size:
+            low, high, fallen = parts[first - 1] if first else 0.0, parts[first], values[first]
+        else:
             return None
-        first = int(np.flatnonzero((values < 0).any(axis=1))[0])
-        high, low = parts[first], parts[first - 1] if first else 0.0
-        falls = [
-            (self.locate(piece, mode, guards[j], time, x, low, high), j) for j in np.flatnonzero(values[first] < 0)
-        ]
+        falls = [(self.locate(piece, mode, guards[j], time, x, low, high), j) for j in np.flatnonzero(fallen < 0)]
         length, _ = min(falls)
         state = self.step(piece, mode, np.array([time]), x[None], np.array([length]))[0][0]
         at = self.measure(piece, mode, guards, np.array([time + length]), state[None])[0]
@@ -200,6 +208,34 @@ class Stepwise(Course, Generic[M, G]):
         self.fired = tuple(guards[j] for j in near)
         self.release(piece, mode, time + length, state)
         return length, state
+
+    def find_dip(
+        self, piece: Piece, mode: M, guards: list[G], time: float, x: Array, parts: Array, ends: Array
+    ) -> tuple[float, float, Array] | None:
+        """Find the first of some parts of a step within which a guard falls below 0 and rises again.
+
+        Returns the lengths of the step up to where that part begins and to where the guard is below 0, and all guards.
+        """
+        rates = self.descend(guards, np.vstack((x[None], ends)))
+        starts = np.array([0.0, *parts])
+        for k in range(len(parts)):
+            for j in np.flatnonzero((rates[k] < 0) & (rates[k + 1] > 0)):
+                low, high = float(starts[k]), float(starts[k + 1])
+                for _ in range(DIPS):  # bisection: towards where the guard is least
+                    middle = (low + high) / 2
+                    state = self.step(piece, mode, np.array([time]), x[None], np.array([middle]))[0]
+                    found = self.measure(piece, mode, guards, np.array([time + middle]), state)[0]
+                    if found[j] < -DEEP:
+                        return float(starts[k]), middle, found
+                    rate = self.descend(guards, state)[0, j]
+                    if found[j] > 2 * (high - low) * abs(rate):  # too far above 0 to reach it
+                        break
+                    low, high = (middle, high) if rate < 0 else (low, middle)
+        return None
+
+    def descend(self, guards: list[G], x: Array) -> Array:
+        """Return the rates of guards at states (K, nq + n), shape (K, guards); 0 where they are not known."""
+        return np.zeros((len(x), len(guards)))
 
     def locate(self, piece: Piece, mode: M, guard: G, time: float, x: Array, low: float, high: float) -> float:
         """Return the length of the step to where a guard is 0: it is below 0 after `high`."""

@@ -351,6 +351,19 @@ class TouchingCourse(Stepwise[Mode, Guard]):
                     columns.append(most - np.linalg.norm(loads.friction[:, k], axis=1))
         return np.stack(columns, axis=1)
 
+    def descend(self, guards: list[Guard], x: Array) -> Array:
+        """Return the rates of distances at states (K, nq + n), shape (K, guards); 0 of other guards."""
+        rates = super().descend(guards, x)
+        gaps = [(j, guard.point) for j, guard in enumerate(guards) if guard.bound is Bound.GAP]
+        if gaps:
+            q, qd = np.split(x, [self.dynamics.places], axis=1)
+            _, normal, slide = self.contacts.locate(q)
+            speed = np.einsum("kpi,kpin,kn->kp", normal, slide, qd)
+            speed[np.abs(speed) <= STILL * self.reach] = 0.0
+            for j, point in gaps:
+                rates[:, j] = speed[:, point]
+        return rates
+
     def release(self, *_: object) -> None:
         """Note the points that are no longer held, or that turn round."""
         self.released = {x.point for x in self.fired}
