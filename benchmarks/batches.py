@@ -213,7 +213,7 @@ def _write_peers(rows: Sequence[Row], peers: Mapping[str, Mapping[str, Told]]) -
     yield " ".join((batch_peers.__doc__ or "").split("\n\n")[1].split())
     yield ""
     ours = {(name, kernel): min(x.rows, x.columns) for name, kernel, x in rows}
-    reasons = []
+    reasons: dict[tuple[str, str], list[str]] = {}
     cells = []
     for name, found in peers.items():
         for function in FUNCTIONS:
@@ -221,14 +221,15 @@ def _write_peers(rows: Sequence[Row], peers: Mapping[str, Mapping[str, Told]]) -
             for peer, told in found.items():
                 ns = told[function]
                 if isinstance(ns, str):
-                    reasons.append(f"- {peer}, {function} of {name}: {ns}")
+                    reasons.setdefault((peer, ns), []).append(f"{function} of {name}")
                 row.append("" if isinstance(ns, str) else f"{ns:.0f} ({ns / ours[name, function]:.0f})")
             cells.append(row)
     yield "Times in ns a state; in brackets, how many times ours that is."
     yield ""
     yield from tabulate(["mechanism", "function", "lanes", *batch_peers.PEERS], cells, words=2)
     if reasons:
-        yield from ["", "Not measured:", "", *reasons]
+        yield from ["", "Not measured:", ""]
+        yield from (f"- {peer}: {', '.join(places)}: {why}" for (peer, why), places in reasons.items())
 
 
 if __name__ == "__main__":

@@ -36,6 +36,7 @@ from mbsrun.measuring.timing import Pool, load_timing
 
 GROUPS = 8  # of states, that a pass goes through: their numbers stay in the caches near the core
 COPIES = 3
+SAMPLE_NS = 300_000.0  # of a round: shorter than the turns that a system gives to programs on a busy core
 LINE = 64  # bytes that vectors are aligned to
 _VECTOR = re.compile(r"^\s+v\w+\s.*%[xyz]mm", re.MULTILINE)  # of x86
 _STACK = re.compile(r"\(%r[sb]p[,)]")
@@ -139,7 +140,9 @@ class _Arguments:
         arg, res = ctypes.addressof(self._arg), ctypes.addressof(self._res)
         pool = Pool(GROUPS, self.n_in, arg, self._steps.ctypes.data, res, None, None, address)
         time = load_timing()
-        least = min(float(time(ctypes.addressof(pool), 100)) for _ in range(rounds))
+        once = float(time(ctypes.addressof(pool), 1))
+        passes = max(1, min(100, round(SAMPLE_NS / (abs(once) * GROUPS))))
+        least = min(float(time(ctypes.addressof(pool), passes)) for _ in range(rounds))
         if least < 0:
             raise ArithmeticError("the kernel fails in one of the states")
         return least
@@ -172,7 +175,8 @@ def count_vectors(kernels: Kernels, name: str, width: int) -> tuple[int, int]:
 def write_page(rows: Sequence[Found]) -> str:
     """Write the table as a page."""
     about = (__doc__ or "").split("\n\n")[1].strip().replace("\n", " ")
-    lines = ["# Lanes", "", f"`python -m benchmarks.lanes` wrote this page: {describe_machine()}.", "", about, ""]
+    machine = f"{describe_machine()}; {os.getloadavg()[0]:.1f} processes wanted its {os.cpu_count()} cores at the end"
+    lines = ["# Lanes", "", f"`python -m benchmarks.lanes` wrote this page: {machine}.", "", about, ""]
     titles = ["mechanism", "kernel", "one by one", "lanes", "gain", "lanes' width", "instructions", "at the stack"]
     cells = (
         [

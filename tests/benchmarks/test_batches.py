@@ -42,4 +42,4 @@ def test_the_page_compares_the_quicker_lanes() -> None:
     assert "| panda | 2.0 |" in page
     assert "| RK4 | 8 | 5.0 | 1.8 |" in page
     assert "| panda | impl | 30 | 6000 (200) |" in page
-    assert "- frax, exp2 of panda: no wheel" in page
+    assert "- frax: exp2 of panda: no wheel" in page
