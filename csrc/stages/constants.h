@@ -88,6 +88,11 @@
 #define CUT_OFTEN 2                   /* as many of them in a row */
 #define FOLLOWING_CORRECTIONS 8       /* of inner variables, at most, */
 #define FOLLOWING_GAIN ((real)0.99)   /* of the violation, by each of them */
+#define BOLD_GAIN ((real)0.5)         /* that a whole step must lower all errors to, where the filter refuses it */
+#define RESTRAINED_AFTER 4            /* steps in a row that the search cut to CUT_LENGTH of the longest: curvature is added, */
+#define RESTRAINT_RISE 8              /* more after each further one, */
+#define RESTRAINT_FALL 3              /* less after each other one, */
+#define RESTRAINT_LEAST ((real)1e-12) /* and none below this */
 #define TINY_STEP (10 * MBS_STAGES_EPSILON)
 #define TINY_VIOLATION ((real)1e-4)   /* with which a tiny step is taken as it is */
 #define MOST_REFUSALS 5               /* of first trials by the filter alone, in a row, before it starts anew, */

@@ -11,8 +11,8 @@ void mbs_stages_begin(mbs_stages *s, mbs_stages_phase *p)
     p->theta_least = s->options.theta_min_fact * size;
     p->tau = mbs_stages_larger(1 - p->mu, s->options.tau_min);
     p->tiny = p->tiny_before = p->rejected = p->resets = p->acceptable = p->failing = 0;
-    p->shortened = p->cautious = 0;
-    p->regular = p->added = p->alpha = 0;
+    p->shortened = p->cautious = p->cut = 0;
+    p->regular = p->added = p->restraint = p->alpha = 0;
     mbs_stages_search_anew(p);
     mbs_stages_filter_clear(&p->filter);
 }
@@ -181,8 +181,10 @@ int mbs_stages_run(mbs_stages *s, mbs_stages_phase *p)
         status = mbs_stages_check(s, p, &errors);
         if (status == MBS_STAGES_RUNNING)
             status = advance(s, p);
-        if (status == MBS_STAGES_SOLVED && !p->elastic)
+        if (status == MBS_STAGES_SOLVED && !p->elastic) {
+            p->restraint = 0;
             mbs_stages_polish(s, p);
+        }
         if (status != MBS_STAGES_RUNNING)
             return mbs_stages_settle(s, p, status);
     }

@@ -184,8 +184,8 @@ static int softens(mbs_stages *s, const mbs_stages_phase *p, real regular)
 int mbs_stages_newton_factorise(mbs_stages *s, mbs_stages_phase *p)
 {
     const real before = p->regular;
-    int first = s->problem->stages, k;
-    real regular = 0;
+    int first = p->restraint > 0 ? 0 : s->problem->stages, k;
+    real regular = p->restraint;
     int inner = p->cautious || s->result.singular > 0;
     while ((k = factorise_with(s, p, first, regular, inner)) >= 0) {
         inner |= s->recursion.singular > 0; /* and stays so: what is condensed has the curvature of the last try */

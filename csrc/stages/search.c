@@ -8,6 +8,10 @@
  * better than the first one, the search goes back there. Where no length will do, steps that lower the errors of the
  * optimality conditions are made, before restoration (sections 3.2 and 3.3 there).
  *
+ * A whole step that is refused, and that no correction mends, is still taken where it lowers the errors of the optimality
+ * conditions by half: near a solution, rows that bend make good steps look bad (Maratos). Where steps are cut short again
+ * and again, the next ones get curvature, although they are convex without.
+ *
  * With the option `follow`, inner variables of a refused trial are corrected by their own equations. Then the trial's
  * violation is nearly the violation that it has where inner variables are functions of the others. */
 #include "condense.h"
@@ -16,6 +20,7 @@
 #include <string.h>
 
 typedef struct {
+    real most;    /* the longest step that bounds allow */
     real descent; /* derivative of the barrier function along the step */
     real theta, phi; /* at the trial */
     int filtered;    /* the filter alone refused the last trial */
@@ -232,6 +237,17 @@ static void note_length(mbs_stages_phase *p, int first)
     p->watchdog.shortened = first ? 0 : p->watchdog.shortened + 1;
 }
 
+/* Steps that the search cuts short again and again are too long for the curvature that they know. */
+static void restrain(mbs_stages_phase *p, int cut)
+{
+    const real first = p->regular > 0 ? p->regular : p->options->first_hessian_perturbation;
+    p->cut = cut ? p->cut + 1 : 0;
+    if (p->cut >= RESTRAINED_AFTER)
+        p->restraint = p->restraint > 0 ? RESTRAINT_RISE * p->restraint : first;
+    else if (!cut)
+        p->restraint = p->restraint > RESTRAINT_LEAST ? p->restraint / RESTRAINT_FALL : 0;
+}
+
 /* Make a step of the length `alpha` to the trial. */
 static int take(mbs_stages *s, mbs_stages_phase *p, const search *t, real alpha, int first, int refused)
 {
@@ -239,6 +255,89 @@ static int take(mbs_stages *s, mbs_stages_phase *p, const search *t, real alpha,
     accept(s, p, t, alpha);
     note_length(p, first);
     mind_refusals(p, refused);
+    restrain(p, alpha < CUT_LENGTH * t->most);
+    return 0;
+}
+
+/* The mean errors of stationarity, of rows and of complementarity, together. */
+static real mean_errors(mbs_stages *s, mbs_stages_phase *p)
+{
+    real products = 0;
+    int i, count = 0;
+    mbs_stages_stationarity(s, p, 0, p->slope);
+    for (i = 0; i < p->size; ++i) {
+        if (s->fixed[i])
+            continue;
+        if (p->lower[i] > -MBS_STAGES_INFINITE)
+            products += real_abs((p->x[i] - p->lower[i]) * p->zl[i] - p->mu), ++count;
+        if (p->upper[i] < MBS_STAGES_INFINITE)
+            products += real_abs((p->upper[i] - p->x[i]) * p->zu[i] - p->mu), ++count;
+    }
+    return mbs_stages_sum(p->size, p->slope) / (real)(p->size > 0 ? p->size : 1) +
+           mbs_stages_sum(s->rows, p->c) / (real)(s->rows > 0 ? s->rows : 1) + products / (real)(count > 0 ? count : 1);
+}
+
+/* Add `alpha` times the step to all multipliers. */
+static void move_multipliers(const mbs_stages *s, mbs_stages_phase *p, real alpha)
+{
+    int i;
+    for (i = 0; i < s->rows; ++i)
+        p->y[i] += alpha * p->step.y[i];
+    for (i = 0; i < p->size; ++i) {
+        p->zl[i] += alpha * p->step.zl[i];
+        p->zu[i] += alpha * p->step.zu[i];
+    }
+}
+
+/* Exchange the point and the trial. */
+static void take_trial(mbs_stages_phase *p)
+{
+    real *x = p->x, *c = p->c;
+    const real cost = p->cost;
+    p->x = p->trial;
+    p->trial = x;
+    p->c = p->trial_c;
+    p->trial_c = c;
+    p->cost = p->trial_cost;
+    p->trial_cost = cost;
+}
+
+/* Whether a point of violation theta may have errors of a part of those here. */
+static int may_lower_errors(mbs_stages *s, mbs_stages_phase *p, real theta, real part)
+{
+    return theta <= part * mean_errors(s, p) * (real)s->rows;
+}
+
+/* Whether the trial, and multipliers that move with it, have errors of a part of those here; if so, they are the point. */
+static int lowers_errors(mbs_stages *s, mbs_stages_phase *p, real alpha, real part)
+{
+    const real most = part * mean_errors(s, p);
+    take_trial(p);
+    move_multipliers(s, p, alpha);
+    if (mbs_stages_phase_derivatives(s, p) == 0) {
+        mbs_stages_find_lagrangian(s, p);
+        if (mean_errors(s, p) <= most)
+            return 1;
+    }
+    take_trial(p);
+    move_multipliers(s, p, -alpha);
+    if (mbs_stages_phase_derivatives(s, p) == 0)
+        mbs_stages_find_lagrangian(s, p);
+    return 0;
+}
+
+/* Make a whole step that lowers all errors, although the filter refuses it. Where curvature was added, errors may fall on
+ * the way to a maximum. */
+static int step_boldly(mbs_stages *s, mbs_stages_phase *p, search *t, real alpha)
+{
+    if (p->elastic || p->added > 0 || try_step(s, p, p->step.x, alpha, t) || !lowers_errors(s, p, alpha, BOLD_GAIN))
+        return -1;
+    augment(p, t, alpha);
+    p->theta_before = p->theta;
+    p->theta = t->theta;
+    p->alpha = alpha;
+    note_length(p, 1);
+    restrain(p, 0);
     return 0;
 }
 
@@ -248,6 +347,7 @@ static int backtrack(mbs_stages *s, mbs_stages_phase *p, search *t, int again)
     const real most = mbs_stages_boundary(s, p, p->x, p->step.x, p->tau), least = shortest(p, t);
     real alpha = again ? most / 2 : most, length;
     int first = 1, refused = 0;
+    t->most = most;
     for (; alpha > least || first; alpha /= 2, first = 0) {
         const int failed = try_step(s, p, p->step.x, alpha, t), whole = first && !again;
         p->failing = failed;
@@ -257,8 +357,11 @@ static int backtrack(mbs_stages *s, mbs_stages_phase *p, search *t, int again)
             return take(s, p, t, alpha, whole, refused);
         refused |= first && t->filtered;
         if (whole && t->theta >= p->theta) {
+            const real theta = t->theta;
             if (correct(s, p, t, alpha, &length) == 0)
                 return take(s, p, t, length, 1, refused);
+            if (may_lower_errors(s, p, theta, BOLD_GAIN) && step_boldly(s, p, t, alpha) == 0)
+                return 0;
             if (s->options.follow && try_step(s, p, p->step.x, alpha, t))
                 continue;
         }
@@ -339,65 +442,6 @@ static int step_unseen(mbs_stages *s, mbs_stages_phase *p, search *t)
     return 0;
 }
 
-/* The mean errors of stationarity, of rows and of complementarity, together. */
-static real mean_errors(mbs_stages *s, mbs_stages_phase *p)
-{
-    real products = 0;
-    int i, count = 0;
-    mbs_stages_stationarity(s, p, 0, p->slope);
-    for (i = 0; i < p->size; ++i) {
-        if (s->fixed[i])
-            continue;
-        if (p->lower[i] > -MBS_STAGES_INFINITE)
-            products += real_abs((p->x[i] - p->lower[i]) * p->zl[i] - p->mu), ++count;
-        if (p->upper[i] < MBS_STAGES_INFINITE)
-            products += real_abs((p->upper[i] - p->x[i]) * p->zu[i] - p->mu), ++count;
-    }
-    return mbs_stages_sum(p->size, p->slope) / (real)(p->size > 0 ? p->size : 1) +
-           mbs_stages_sum(s->rows, p->c) / (real)(s->rows > 0 ? s->rows : 1) + products / (real)(count > 0 ? count : 1);
-}
-
-/* Add `alpha` times the step to all multipliers. */
-static void move_multipliers(const mbs_stages *s, mbs_stages_phase *p, real alpha)
-{
-    int i;
-    for (i = 0; i < s->rows; ++i)
-        p->y[i] += alpha * p->step.y[i];
-    for (i = 0; i < p->size; ++i) {
-        p->zl[i] += alpha * p->step.zl[i];
-        p->zu[i] += alpha * p->step.zu[i];
-    }
-}
-
-/* Exchange the point and the trial. */
-static void take_trial(mbs_stages_phase *p)
-{
-    real *x = p->x, *c = p->c;
-    const real cost = p->cost;
-    p->x = p->trial;
-    p->trial = x;
-    p->c = p->trial_c;
-    p->trial_c = c;
-    p->cost = p->trial_cost;
-    p->trial_cost = cost;
-}
-
-/* Whether the trial with multipliers that move alike has smaller errors; if so, it is the point. */
-static int lowers_errors(mbs_stages *s, mbs_stages_phase *p, real alpha)
-{
-    const real before = mean_errors(s, p);
-    take_trial(p);
-    move_multipliers(s, p, alpha);
-    if (mbs_stages_phase_derivatives(s, p) == 0) {
-        mbs_stages_find_lagrangian(s, p);
-        if (mean_errors(s, p) <= p->options->soft_resto_pderror_reduction_factor * before)
-            return 1;
-    }
-    take_trial(p);
-    move_multipliers(s, p, -alpha);
-    return 0;
-}
-
 int mbs_stages_search_softly(mbs_stages *s, mbs_stages_phase *p)
 {
     const real primal = mbs_stages_boundary(s, p, p->x, p->step.x, p->tau);
@@ -412,7 +456,7 @@ int mbs_stages_search_softly(mbs_stages *s, mbs_stages_phase *p)
         take_trial(p);
         move_multipliers(s, p, alpha);
         p->soft = 0;
-    } else if (lowers_errors(s, p, alpha)) {
+    } else if (lowers_errors(s, p, alpha, p->options->soft_resto_pderror_reduction_factor)) {
         ++p->soft;
     } else {
         return -1;

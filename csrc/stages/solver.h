@@ -64,6 +64,8 @@ typedef struct {
     real regular, added;      /* curvature that was added last where it lacked; in this step */
     int shortened;            /* steps in a row that had added curvature, and were cut short */
     int cautious;             /* inner variables get curvature too */
+    int cut;                  /* steps in a row that the search cut short */
+    real restraint;           /* curvature that steps begin with, while they are cut short again and again */
     int tiny, tiny_before;    /* steps below the last digit */
     int rejected;             /* iterations whose first trial the filter alone refused, in a row */
     int resets;

@@ -370,7 +370,7 @@ static void deciding(void)
     p->failing = 0, p->soft = 1;
     LAW("nor is a soft step that failed", search(s, p) == -1);
     anew(s, p);
-    p->c[0] = -5, p->regular = p->added = p->shortened = p->tiny = p->resets = p->cautious = p->acceptable = 3;
+    p->c[0] = -5, p->regular = p->added = p->restraint = p->cut = p->shortened = p->tiny = p->resets = p->cautious = p->acceptable = 3;
     p->filter.count = 2, p->mu = 0.001;
     mbs_stages_begin(s, p);
     LAW("limits of the violation are beside the first one", p->theta_most == 5e2 && near(p->theta_least, 5e-4));
@@ -379,7 +379,7 @@ static void deciding(void)
     p->c[0] = 0.1, p->mu = 0.1;
     mbs_stages_begin(s, p);
     LAW("which counts as 1 at least", p->theta_most == 1e2 && near(p->theta_least, 1e-4) && p->tau == (real)0.99);
-    LAW("and a search has all its means", !p->cautious && p->alpha == 0);
+    LAW("and a search has all its means", !p->cautious && p->alpha == 0 && p->restraint == 0 && p->cut == 0);
 }
 
 static void advancing(void)

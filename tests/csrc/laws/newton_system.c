@@ -152,6 +152,10 @@ static void curvatures(int by_stage, int inner, int elastic)
     LAW("the step solves conditions with it", slopes_left(drawn, p, 0) < 1e-7);
     LAW("and rows", rows_left(drawn, p) < 1e-9);
     LAW("and bounds", products_left(drawn, p) < 1e-9);
+    p->restraint = 4 * p->added;
+    step(p);
+    LAW("a step that is restrained has it from the first", p->added == p->restraint && curvature_at(drawn, 0) == p->added);
+    p->restraint = 0;
     if (by_stage)
         return;
     p->cautious = 1; /* inner variables get it, too */

@@ -11,6 +11,8 @@ static struct {
     real corrected, gain, right[2]; /* a corrected step; what remains of `beyond` after each; its right-hand side */
     real inner_gain;                /* the same of corrections of inner variables */
     int failed, evaluated, corrections, inner, barrier;
+    int renewed; /* derivatives, and where */
+    real renewed_at;
 } given;
 
 int mbs_stages_phase_values(mbs_stages *s, const mbs_stages_phase *p, const real *x, real *cost, real *c)
@@ -98,7 +100,9 @@ void mbs_stages_stationarity(mbs_stages *s, mbs_stages_phase *p, int barrier, re
 
 int mbs_stages_phase_derivatives(mbs_stages *s, mbs_stages_phase *p)
 {
-    (void)s, (void)p;
+    (void)s;
+    ++given.renewed;
+    given.renewed_at = p->x[0];
     return 0;
 }
 
@@ -148,7 +152,7 @@ static void anew(mbs_stages *s, mbs_stages_phase *p)
 static void measures(void)
 {
     mbs_stages_phase *p = &phase;
-    search t = {-2, 0, 0, 0};
+    search t = {.descent = -2};
     anew(&solver, p);
     p->theta = 0.01; /* 0.01^1.1 / 2^2.3 = 0.001281 */
     LAW("descent outweighs the violation", is_descent(p, &t, 0.00129) && !is_descent(p, &t, 0.00128));
@@ -185,7 +189,7 @@ static void measures(void)
 static void progress(void)
 {
     mbs_stages_phase *p = &phase;
-    search t = {-1, 0, 1, 0};
+    search t = {.descent = -1, .phi = 1};
     anew(&solver, p);
     t.theta = 0.999989;
     LAW("less violation is progress", is_progress(p, &t));
@@ -206,7 +210,7 @@ static void progress(void)
 static void acceptance(void)
 {
     mbs_stages_phase *p = &phase;
-    search t = {-1, 0, 0, 1};
+    search t = {.descent = -1, .filtered = 1};
     anew(&solver, p);
     t.theta = 2e4, t.phi = -1;
     LAW("a violation beyond the limit is refused", !is_accepted(p, &t, 1) && !t.filtered);
@@ -233,7 +237,7 @@ static void acceptance(void)
 static void lengths(void)
 {
     mbs_stages_phase *p = &phase;
-    search t = {0, 0, 0, 0};
+    search t = {.descent = 0};
     anew(&solver, p);
     p->theta = 1e-2;
     LAW("the shortest step of no descent", near(shortest(p, &t), 5e-7));
@@ -251,7 +255,7 @@ static void bounds(void)
 {
     const real eps = MBS_STAGES_EPSILON;
     mbs_stages_phase *p = &phase;
-    search t = {0, 0, 0, 0};
+    search t = {.descent = 0};
     LAW("inside stays", keep_inside(1, 2, 0, 3) == 2);
     LAW("half of the way to a lower bound", keep_inside(1, 0, 0, 3) == 0.5 && keep_inside(1, -1, 0, 3) == 0.5);
     LAW("half of the way to an upper bound", keep_inside(1, 3, 0, 3) == 2 && keep_inside(1, 4, 0, 3) == 2);
@@ -280,7 +284,7 @@ static void bounds(void)
 static void taking(void)
 {
     mbs_stages_phase *p = &phase;
-    search t = {-1, 0.25, -1, 0};
+    search t = {.descent = -1, .theta = 0.25, .phi = -1};
     anew(&solver, p);
     p->theta = 0.5, p->y[1] = 1, p->phi = 0.1, given.dual = 0.25, p->trial[0] = 8, p->trial_c[0] = 4, p->trial_cost = 6;
     take(&solver, p, &t, 0.5, 1, 0);
@@ -350,7 +354,7 @@ static void counters(void)
 static void backtracking(void)
 {
     mbs_stages_phase *p = &phase;
-    search t = {0, 0, 0, 0};
+    search t = {.descent = 0};
     anew(&solver, p);
     given.wall = 0.3, given.beyond = 10;
     LAW("steps are halved until one is accepted", backtrack(&solver, p, &t, 0) == 0 && p->x[0] == 0.25);
@@ -388,7 +392,7 @@ static void backtracking(void)
 static void correcting(void)
 {
     mbs_stages_phase *p = &phase;
-    search t = {0, 0, 0, 0};
+    search t = {.descent = 0};
     real length = 0;
     anew(&solver, p);
     given.wall = 0.6, given.beyond = 1, given.corrected = 0.25;
@@ -421,7 +425,7 @@ static void inner(void)
     const int at[] = {0, 4, 6};
     mbs_stages_phase *p = &phase;
     mbs_stages_problem problem;
-    search t = {0, 0, 0, 0};
+    search t = {.descent = 0};
     int i;
     anew(&solver, p);
     memset(&problem, 0, sizeof problem);
@@ -522,10 +526,10 @@ static void softly(void)
     move_multipliers(&solver, p, 1);
     LAW("multipliers of the rows that there are move", p->y[0] == 7 && p->y[1] == 0);
     anew(&solver, p);
-    solver.options.soft_resto_pderror_reduction_factor = 1, p->step.x[0] = 0, given.wall = -1, given.beyond = 1;
+    p->step.x[0] = 0, given.wall = -1, given.beyond = 1;
     memset(p->step.zl, 0, sizeof room[0]), memset(p->step.zu, 0, sizeof room[0]);
-    try_step(&solver, p, p->step.x, 1, &(search){0, 0, 0, 0});
-    LAW("errors may fall by as little as is asked for", lowers_errors(&solver, p, 1) == 1);
+    try_step(&solver, p, p->step.x, 1, &(search){.descent = 0});
+    LAW("errors may fall by as little as is asked for", lowers_errors(&solver, p, 1, 1) == 1);
     anew(&solver, p);
     p->x[0] = 1, p->step.x[0] = -0.5, p->theta = p->c[0] = 0.5, p->phi = -1, given.slope = -1;
     given.wall = -1, given.beyond = 0.6;
@@ -561,6 +565,89 @@ static void softly(void)
     LAW("without a step and a watchdog there is an end", mbs_stages_search_without_step(&solver, p) == -1);
 }
 
+/* From x[0] = 1 to 0, with errors 0.5 and 0.05; the rows' grow, and so does the barrier function. */
+static int go_boldly(real violation, real to)
+{
+    mbs_stages_phase *p = &phase;
+    search t = {.descent = -1};
+    anew(&solver, p);
+    p->x[0] = 1, p->step.x[0] = to - 1, p->c[0] = p->theta = 0.1, p->phi = -1, given.slope = -1;
+    given.wall = -1, given.beyond = violation, given.corrected = -1;
+    return step_boldly(&solver, p, &t, 1);
+}
+
+static void boldly(void)
+{
+    mbs_stages_phase *p = &phase;
+    search t = {.descent = -1};
+    LAW("a step that halves all errors is made", go_boldly(0.4, 0) == 0 && p->x[0] == 0 && p->c[0] == 0.4);
+    LAW("multipliers move with it", p->y[0] == 7 && p->zl[0] == 3 && p->zu[0] == 5 && p->alpha == 1);
+    LAW("its violations are known", p->theta == 0.4 && p->theta_before == 0.1);
+    LAW("its point is kept", p->filter.count == 1 && near(p->filter.theta[0], (1 - 1e-5) * 0.1));
+    LAW("half is enough", go_boldly(0.55 - 1e-9, 0) == 0);
+    LAW("less than half is not", go_boldly(0.55 + 1e-9, 0) == -1 && p->x[0] == 1);
+    LAW("a violation may be small enough", may_lower_errors(&solver, p, 0.55 - 1e-9, 0.5));
+    LAW("or too large for it", !may_lower_errors(&solver, p, 0.55 + 1e-9, 0.5));
+    LAW("of all errors together", go_boldly(0.4, 0.16) == -1 && go_boldly(0.4, 0.14) == 0);
+    go_boldly(0.4, 0.5);
+    LAW("else all is as before", p->x[0] == 1 && p->c[0] == 0.1 && p->y[0] == 0 && p->zl[0] == 0 && p->filter.count == 0);
+    LAW("derivatives, too", given.renewed == 2 && given.renewed_at == 1);
+    given.failed = 1;
+    LAW("values may fail", step_boldly(&solver, p, &t, 1) == -1 && p->x[0] == 1);
+    go_boldly(0.4, 0.5);
+    p->step.x[0] = -1, p->added = 1e-9;
+    LAW("not with added curvature", step_boldly(&solver, p, &t, 1) == -1);
+    p->added = 0, p->elastic = 1;
+    LAW("nor in restoration", step_boldly(&solver, p, &t, 1) == -1);
+    p->elastic = 0, p->watchdog.shortened = 5, p->cut = 3;
+    LAW("a search makes it", backtrack(&solver, p, &t, 0) == 0 && p->x[0] == 0);
+    LAW("where no correction helps", given.corrections > 0);
+    LAW("it is a whole step", p->watchdog.shortened == 0 && p->cut == 0);
+    go_boldly(0.4, 0.5);
+    p->step.x[0] = -1;
+    LAW("a step that was tried before is cut", backtrack(&solver, p, &t, 1) == -1 || p->x[0] != 0);
+    go_boldly(0.6, 0.5);
+    p->step.x[0] = -1, given.renewed = 0;
+    LAW("one that is too far from rows is not tried", backtrack(&solver, p, &t, 0) == -1 && given.renewed == 0);
+}
+
+/* Steps that are cut short again and again get curvature. */
+static void restraint(void)
+{
+    mbs_stages_phase *p = &phase;
+    search t = {.most = 0.5, .descent = -1};
+    int i;
+    anew(&solver, p);
+    for (i = 0; i < 3; ++i)
+        restrain(p, 1);
+    LAW("three steps cut short change nothing", p->restraint == 0 && p->cut == 3);
+    restrain(p, 0);
+    LAW("another one ends the row", p->cut == 0 && p->restraint == 0);
+    for (i = 0; i < 4; ++i)
+        restrain(p, 1);
+    LAW("four ask for curvature: as much as a first try has", p->restraint == (real)1e-4);
+    restrain(p, 1);
+    LAW("and a fifth for more", near(p->restraint, 8e-4));
+    restrain(p, 0);
+    LAW("which falls again", near(p->restraint, 8e-4 / 3) && p->cut == 0);
+    p->restraint = 1e-12;
+    restrain(p, 0);
+    LAW("to none", p->restraint == 0);
+    p->regular = 3;
+    for (i = 0; i < 4; ++i)
+        restrain(p, 1);
+    LAW("what was added last is the first amount", p->restraint == 3);
+    anew(&solver, p);
+    take(&solver, p, &t, 0.011, 0, 0);
+    LAW("lengths count beside the longest", p->cut == 0);
+    take(&solver, p, &t, 0.009, 0, 0);
+    LAW("a fiftieth of it is short", p->cut == 1);
+    anew(&solver, p);
+    p->theta = 1, given.boundary = 0.5;
+    backtrack(&solver, p, &t, 0);
+    LAW("which is known from bounds", t.most == 0.5);
+}
+
 int main(void)
 {
     measures();
@@ -575,5 +662,7 @@ int main(void)
     inner();
     watching();
     softly();
+    boldly();
+    restraint();
     return broken > 0;
 }

@@ -82,7 +82,7 @@ static mbs_stages_phase *open_held(void)
 static void following(void)
 {
     mbs_stages_phase *p = open_held();
-    search t = {-1, 0, 0, 0};
+    search t = {.descent = -1};
     const real off = spoil(p, &t);
     int before;
     p->theta_most = off / 2;
@@ -109,7 +109,7 @@ static void second_order(void)
     int turn, tried = 0;
     for (turn = 0; turn < 6; ++turn) {
         mbs_stages_phase *p = open_trial();
-        search t = {-1, 0, 0, 0};
+        search t = {.descent = -1};
         real length, first, x[W + S], step[W + S];
         int i;
         for (i = 0; i < W + S; ++i)
@@ -143,7 +143,7 @@ static void lengths(void)
     for (again = 0; again < 2; ++again) {
         mbs_stages_phase *p = open_trial();
         const real most = mbs_stages_boundary(drawn, p, p->x, p->step.x, p->tau);
-        search t = {-1, 0, 0, 0};
+        search t = {.descent = -1};
         p->theta = p->theta_most = 1e9; /* any trial is progress */
         LAW("a trial is taken", backtrack(drawn, p, &t, again) == 0);
         LAW("the longest, or the next", near(p->alpha, again ? most / 2 : most));
