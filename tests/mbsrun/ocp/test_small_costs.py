@@ -48,8 +48,38 @@ def test_a_small_cost_is_found_to_its_own_digits(tmp_path: Path, tolerance: floa
     solution = solve(*read_problem(tmp_path / "one.ocp.yaml", load_on_demand))
     assert isinstance(solution, Solution)
     assert (solution.run.method, solution.run.status) == ("mbs", SOLVED)
-    assert solution.cost.total == pytest.approx(2e-3 - 2.5e-10, rel=1e-5)
+    assert solution.cost.total == pytest.approx(2e-3 - 2.5e-10, rel=1e-6 if tolerance == 1e-8 else 1e-5)
     assert solution.problem.solver.tolerance == tolerance
+
+
+def test_a_small_cost_of_a_quadratic_program_has_six_digits() -> None:
+    """Two states under implicit Euler steps with limits of their sums: the optimum is Clarabel's, to 1e-11."""
+    rows = (
+        ("-0.9651*x", [-0.20490889893994527, None]),
+        ("-0.6073*x + 0.5614*y", [0.30810904580227727, None]),
+        ("-0.8332*x", [-0.1769040457950082, None]),
+        ("-0.3972*x + 0.9866*v", [-1.5439806186546936, 2.9809698748144537]),
+        ("-0.7944*x + 1.9732*v", [-3.087961237309387, 5.9619397496289075]),
+    )
+    problem = mbsrun.problem(
+        None,
+        horizon=2,
+        intervals=20,
+        scheme="radau",
+        degree=1,
+        states={
+            "x": {"rate": "0.1406*y + 1.01943*w", "start": -0.768},
+            "y": {"rate": "0.3122*x - 0.5203*y + v", "start": 0.9881, "end": 1.024946085652509},
+        },
+        controls={"v": {}, "w": {}},
+        cost={
+            "running": [{"expression": "w**2", "weight": 0.1}],
+            "terminal": [{"expression": "x**2", "weight": 1.479}],
+        },
+        constraints=[{"expression": text, "range": limits} for text, limits in rows],
+        solver={"method": "mbs"},
+    )
+    assert problem.solve(check=False).cost == pytest.approx(0.0020694371746, rel=1e-6)
 
 
 @pytest.mark.parametrize(("weight", "digits"), [(0.001, 1e-5), (1e-7, None)])

@@ -66,7 +66,8 @@ from mbsrun.ocp.transcription.phases import PhasedTranscription, transcribe_phas
 from mbsrun.ocp.transcription.scales import scale_cost
 
 OPENED = 1e-8  # the largest gap of loops in a solution [m, 1], unless the tolerance is larger
-SIZABLE = 1e-4  # of the cost: where small changes may lower it by more, a solve goes on
+SIZABLE = 1e-6  # of the cost: where small changes may lower it by more, a solve goes on
+LOOSE = 1e-4  # the same with a larger tolerance than the default
 SHARPER = 1e-4  # of the tolerance: what it goes on with
 BALANCED = 1e-13  # residuals of links, relative to the largest change of a velocity, and absolute below 1
 
@@ -208,7 +209,7 @@ class PhasedSolver:
         if run.status not in ((SOLVED, ACCEPTABLE) if loose else (SOLVED,)) or not run.decrease or not self._is_judged:
             return False
         worth = (1 / options.objective_scaling if options.objective_scaling else problem.weight) / cost_scale
-        return abs(cost) > options.tolerance * worth and run.decrease > SIZABLE * abs(cost)
+        return abs(cost) > options.tolerance * worth and run.decrease > (LOOSE if loose else SIZABLE) * abs(cost)
 
     def _find_crossed(self, problem: PhasedProblem) -> Failure | None:
         """Return a failure where bounds cross."""

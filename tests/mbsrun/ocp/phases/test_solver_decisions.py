@@ -88,13 +88,15 @@ BETTER = Answer(Ran(decrease=1e-4), 0.9999)
 
 
 def test_a_solve_goes_on_where_a_sizable_part_of_the_cost_may_fall() -> None:
-    """More than 1e-4 of it, with 1e-4 of the tolerance."""
+    """More than 1e-6 of it, or 1e-4 if the tolerance is larger than the default; with 1e-4 of the tolerance."""
     tolerance = SolverOptions().tolerance
     assert sharpen(Answer(Ran()), BETTER) == (True, [pytest.approx(1e-4 * tolerance, rel=1e-12, abs=0)])
-    assert sharpen(Answer(Ran(decrease=1e-4)), BETTER) == (False, [])
-    assert sharpen(Answer(Ran(decrease=1.01e-4)), Answer(Ran(decrease=0.9e-4), 1.0))[0]
+    for factor, share in ((1.0, 1e-6), (10.0, 1e-4)):
+        own = {"options": {"tolerance": factor * tolerance}}
+        assert sharpen(Answer(Ran(decrease=share)), BETTER, **own) == (False, [])
+        assert sharpen(Answer(Ran(decrease=1.01 * share)), Answer(Ran(decrease=0.9 * share), 1.0), **own)[0]
     assert sharpen(Answer(Ran(), cost=-1.0), Answer(BETTER.run, -1.0001))[0]
-    assert sharpen(Answer(Ran(), cost=-3.0), BETTER) == (False, [])
+    assert sharpen(Answer(Ran(decrease=2e-6), cost=-3.0), BETTER) == (False, [])
     for none in (None, 0.0):
         assert sharpen(Answer(Ran(decrease=none)), BETTER) == (False, [])
     assert sharpen(Answer(Ran()), BETTER, judged=False) == (False, [])
