@@ -155,7 +155,7 @@ const char *mbs_stages_explain(mbs_stages_status status)
     case MBS_STAGES_CALLBACK_FAILED:
         return "A callback returned no result, or no finite one.";
     case MBS_STAGES_BAD_PROBLEM:
-        return "Bounds cross, more of them are equal than when the solver was made, or a scale is not positive.";
+        return "Bounds cross, more are equal than at first, a measurement is not finite, or a scale is not positive.";
     case MBS_STAGES_PREPARED:
         return "A step is ready for feedback.";
     case MBS_STAGES_STEPPED:

@@ -135,8 +135,8 @@ typedef enum {
     MBS_STAGES_OUT_OF_DIGITS,   /* steps make no progress in this precision */
     MBS_STAGES_UNBOUNDED,       /* variables grow beyond 1e20 of their scales */
     MBS_STAGES_CALLBACK_FAILED, /* `stage` holds where; the last iterate is kept */
-    MBS_STAGES_BAD_PROBLEM,     /* bounds cross or are not numbers, more are equal than when the solver was made, or a
-                                 * scale is not positive */
+    MBS_STAGES_BAD_PROBLEM,     /* bounds cross, bounds or measured states are not numbers, more bounds are equal than
+                                 * when the solver was made, or a scale is not positive */
     MBS_STAGES_PREPARED,        /* a step is ready for feedback */
     MBS_STAGES_STEPPED,         /* a step was made */
     MBS_STAGES_NOT_PREPARED,    /* feedback without a preparation that succeeded */

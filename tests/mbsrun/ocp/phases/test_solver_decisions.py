@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -79,6 +80,7 @@ def sharpen(found: Answer, better: Any, again: Ran | None = None, x: float = 0.0
         return End(again or Ran(), np.array([x]), None)
 
     solver = SimpleNamespace(_is_judged=given.pop("judged", True), _call=call, _answer=lambda *_: better)
+    solver.needs_sharpening = partial(PhasedSolver.needs_sharpening, cast(Any, solver))
     outcome = End(Ran(), np.zeros(1), Begin(cost_scale=given.pop("cost_scale", 1.0)))
     kept: Any = PhasedSolver._sharpen(cast(Any, solver), cast(Any, task), cast(Any, outcome), cast(Any, found))
     return kept is not found, seen
