@@ -57,7 +57,7 @@ def _import_study(path: Path, out: Path | None, choices: Choices) -> None:
     from mbsgen.importing.omoco.problem import write_problem
     from mbsgen.importing.omoco.study import read_study
 
-    if out is None or not out.name.endswith(_PROBLEM):
+    if out is None or not out.name.endswith(_PROBLEM) or out.name == _PROBLEM:  # else the model's file has no name
         raise click.UsageError(f"a study makes two files: give -o {path.stem}{_PROBLEM}")
     model, findings = out.with_name(f"{out.name.removesuffix(_PROBLEM)}.yaml"), Findings(str(path))
     study = read_study(path, choices, findings)

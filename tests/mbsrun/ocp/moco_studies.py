@@ -63,6 +63,32 @@ def make_pendulum(links: int) -> Any:
     return model
 
 
+def make_arm() -> Any:
+    """Make a link on a pin, with three muscles."""
+    model = osim.Model()
+    model.setName("arm")
+    model.set_gravity(osim.Vec3(0, -9.81, 0))
+    ground, zero = model.getGround(), osim.Vec3(0)
+    body = osim.Body("upper", 2.0, osim.Vec3(0, -0.13, 0), osim.Inertia(0.03))
+    model.addBody(body)
+    joint = osim.PinJoint("shoulder", ground, zero, zero, body, zero, zero)
+    joint.updCoordinate().setName("shoulder")
+    model.addJoint(joint)
+    for name, strength, side in (("front", 450, 1), ("middle", 300, 1.2), ("back", 400, -1)):
+        muscle = osim.DeGrooteFregly2016Muscle()
+        muscle.setName(name)
+        muscle.set_max_isometric_force(strength)
+        muscle.set_optimal_fiber_length(0.11)
+        muscle.set_tendon_slack_length(0.06)
+        muscle.set_ignore_tendon_compliance(True)
+        muscle.set_fiber_damping(0.01)
+        muscle.addNewPathPoint(f"{name}_0", ground, osim.Vec3(0.06 * side, 0.05, 0))
+        muscle.addNewPathPoint(f"{name}_1", body, osim.Vec3(0.02 * side, -0.12, 0))
+        model.addForce(muscle)
+    model.finalizeConnections()
+    return model
+
+
 def begin(name: str, model: Any, final: Any) -> tuple[Any, Any]:
     study = osim.MocoStudy()
     study.setName(name)
@@ -165,6 +191,19 @@ def repeat() -> Any:
     return finish(study, intervals=10)
 
 
+def lift() -> Any:
+    """Lift an arm by muscles with different ranges, whose ends the optimum reaches."""
+    study, problem = begin("lift", make_arm(), 0.6)
+    problem.setStateInfo("/jointset/shoulder/shoulder/value", [-0.5, 2], 0.1, 0.9)
+    problem.setStateInfo("/jointset/shoulder/shoulder/speed", [-50, 50], 0, 0)
+    problem.setControlInfo("/forceset/front", [0.02, 0.07])
+    problem.setControlInfo("/forceset/middle", [0.05, 0.9])
+    problem.setStateInfo("/forceset/front/activation", [0.02, 0.06], 0.05)
+    problem.setStateInfo("/forceset/middle/activation", [], 0.05)
+    problem.addGoal(osim.MocoControlGoal("effort"))
+    return finish(study)
+
+
 CASES: dict[str, Callable[[], Any]] = {
     "sliding_mass": slide,
     "swing": swing,
@@ -172,6 +211,7 @@ CASES: dict[str, Callable[[], Any]] = {
     "follow": follow,
     "reach": reach,
     "repeat": repeat,
+    "lift": lift,
 }
 
 

@@ -19,7 +19,7 @@ from mbsgen.errors import InputError
 from mbsgen.importing import Choices, import_model
 from mbsgen.importing.findings import Findings
 from mbsgen.importing.omoco.problem import write_problem
-from mbsgen.importing.omoco.study import match_pattern, read_study
+from mbsgen.importing.omoco.study import Study, match_pattern, read_study
 from tests import opensim
 
 REFERENCE = Path(__file__).parents[2] / "reference" / "moco"
@@ -29,6 +29,11 @@ SAME = 1e-6  # relative: Moco's tolerance is 1e-7
 
 def read(name: str, folder: Path, *changes: tuple[str, str]) -> tuple[str, Findings]:
     """Return the problem file of a changed study, and the findings; the folder gets its tables and its model."""
+    study, findings = _read_both(name, folder, *changes)
+    return write_problem(study, f"{name}.yaml", findings), findings
+
+
+def _read_both(name: str, folder: Path, *changes: tuple[str, str]) -> tuple[Study, Findings]:
     text = (REFERENCE / f"{name}.omoco").read_text("utf-8")
     for old, new in changes:
         assert old in text, old
@@ -38,8 +43,97 @@ def read(name: str, folder: Path, *changes: tuple[str, str]) -> tuple[str, Findi
     path = folder / f"{name}.omoco"
     path.write_text(text, "utf-8")
     findings = Findings(str(path))
-    study = read_study(path, Choices(), findings)
-    return write_problem(study, f"{name}.yaml", findings), findings
+    return read_study(path, Choices(), findings), findings
+
+
+BALL = """<BallJoint name="b"><socket_parent_frame>/bodyset/b0</socket_parent_frame><socket_child_frame>/bodyset/c
+</socket_child_frame><coordinates><Coordinate name="x" /><Coordinate name="y" /><Coordinate name="z" /></coordinates>
+</BallJoint>"""
+BODY = '<Body name="c"><mass>1</mass><mass_center>0 0 0</mass_center><inertia>1 1 1 0 0 0</inertia></Body>'
+
+
+def add_ball(*infos: tuple[str, str, str]) -> list[tuple[str, str]]:
+    """Make the changes that put a ball at the end of a pendulum, with bounds and values at the start of its speeds."""
+    shown = "".join(
+        f'<MocoVariableInfo name="/jointset/b/{name}"><bounds>{bounds}</bounds><initial_bounds>{start}</initial_bounds>'
+        "</MocoVariableInfo>"
+        for name, bounds, start in infos
+    )
+    return [("<PinJoint", BALL + "<PinJoint"), ("<Body ", BODY + "<Body "), ("<state_infos>", f"<state_infos>{shown}")]
+
+
+def list_warnings(findings: Findings, text: str) -> list[int]:
+    """Return the lines of the warnings that hold a text."""
+    return [x.line for x in findings.notices if text in x.text and x.alters]
+
+
+def test_each_muscle_keeps_its_bounds_along_the_path(tmp_path: Path) -> None:
+    """One range holds all; narrower ones are constraints, and an activation without bounds has its excitation's."""
+    text, findings = read("lift", tmp_path)
+    assert "muscles: {excitation: [0.0, 1.0], rise: 0.015, fall: 0.06, effort: 0}" in text
+    for name, low, high in (("front", 0.02, 0.06), ("middle", 0.05, 0.9), ("middle_excitation", 0.05, 0.9)):
+        assert f"  - {{expression: {name}, range: [{low}, {high}]}}\n" in text
+    assert "{expression: back" not in text
+    assert not [x for x in findings.notices if x.alters]
+
+
+def test_bounds_of_muscles_wider_than_the_problems_are_named(tmp_path: Path) -> None:
+    name = '<MocoVariableInfo name="/forceset/front">'
+    wide = (name, f"{name}<bounds>0 inf</bounds>")
+    lines = list_warnings(read("lift", tmp_path, wide)[1], "the excitation stays between 0 and 1 in the problem")
+    assert lines == [_find_line("lift", name)]
+
+
+def test_bounds_of_an_elastic_tendon_are_constraints(tmp_path: Path) -> None:
+    soft = [("<ignore_tendon_compliance>true", "<ignore_tendon_compliance>false")]
+    info = '<MocoVariableInfo name="/forceset/front/activation">'
+    for bounds, wanted, warned in (("0.1 1.5", "[0.1, 1.5]", 0), ("0.1 7", "[0.1, null]", 1)):
+        own = info.replace("activation", "normalized_tendon_force") + f"<bounds>{bounds}</bounds></MocoVariableInfo>"
+        text, findings = read("lift", tmp_path, *soft, (info, own + info))
+        assert f"  - {{expression: front_tendon, range: {wanted}}}\n" in text
+        assert len(list_warnings(findings, "the state of its tendon stays between 0 and 5")) == warned
+
+
+def test_bounds_of_angular_velocities_are_named(tmp_path: Path) -> None:
+    """A ball's speeds are angular velocities in OpenSim; both are zero together."""
+    zero = [(f"{k}/speed", "0", "0") for k in "xyz"]
+    rates = "are angular velocities in the study, but rates of turns"
+    assert not list_warnings(read("repeat", tmp_path, *add_ball(*zero))[1], rates)
+    findings = read("repeat", tmp_path, *add_ball(*zero[:2], ("z/speed", "-3 4", "0")))[1]
+    assert len(list_warnings(findings, rates)) == 3  # each component of one reads all three of the other
+    # the usual bounds of speeds
+    assert list_warnings(read("repeat", tmp_path, *add_ball())[1], rates) == [_find_line("repeat", "<MocoPhase")]
+
+
+def test_goals_over_angular_velocities_are_named(tmp_path: Path) -> None:
+    squares = '<MocoSumSquaredStateGoal name="s"><pattern>.*/[xq].*speed</pattern></MocoSumSquaredStateGoal>'
+    zero = [(f"{k}/speed", "0", "0") for k in "xyz"]
+    findings = read("repeat", tmp_path, *add_ball(*zero), ("<goals>", f"<goals>{squares}"))[1]
+    assert len(list_warnings(findings, "are angular velocities in the study")) == 1
+
+
+def test_a_study_and_its_model_have_names(tmp_path: Path) -> None:
+    """A model without a name is called so, with a notice; a problem file without a name would hide its model."""
+    found = _read_both("swing", tmp_path, ('<Model name="pendulum"', '<Model name=""'))[0]
+    assert found.imported.model.name == "model"
+    assert [x.line > 0 for x in found.imported.notices if 'it has no name: called "model"' in x.text] == [True]
+    done = CliRunner().invoke(cli, ["import", str(REFERENCE / "swing.omoco"), "-o", str(tmp_path / ".ocp.yaml")])
+    assert done.exit_code == 2
+    assert "a study makes two files: give -o swing.ocp.yaml" in done.output
+
+
+def test_faults_have_the_order_of_their_lines(tmp_path: Path) -> None:
+    """A second coordinate of a name comes before the actuator that misses the other one."""
+    with pytest.raises(InputError) as caught:
+        read("swing", tmp_path, ('<Coordinate name="q1"', '<Coordinate name="q0"'))
+    assert ["a second coordinate" in x.finding for x in caught.value.faults] == [True, False]
+    assert [x.line for x in caught.value.faults] == sorted(x.line for x in caught.value.faults)
+
+
+def _find_line(name: str, text: str) -> int:
+    """Return the line of a text in a study."""
+    lines = (REFERENCE / f"{name}.omoco").read_text("utf-8").splitlines()
+    return next(k for k, line in enumerate(lines, 1) if text in line)
 
 
 @pytest.mark.parametrize("name", COSTS)

@@ -12,7 +12,9 @@ from pathlib import Path
 from mbsgen.documents import abbreviate, nearest
 from mbsgen.importing.findings import Findings
 from mbsgen.importing.markup import Element
+from mbsgen.importing.omoco.muscles import write_muscles
 from mbsgen.importing.omoco.study import FREE, Range, Study, Variable, match_pattern
+from mbsgen.importing.omoco.turning import warn_of_bounds, warn_of_goal
 
 _ALL = ("enabled", "weight", "mode", "divide_by_duration", "MocoConstraintInfo", "scale_factors")
 _PLAIN = re.compile(r"[A-Za-z_][\w.]*")
@@ -87,6 +89,7 @@ class Goals:
 
     def _add_squares(self, goal: Element, weight: float) -> None:
         chosen, weights = self._choose(goal), self._weigh(goal, "state_weights", self._states)
+        self._warn_of_rates(goal, [x for x in chosen if weights.get(x.path, 1.0)])
         for x in chosen:
             self._run(goal, weight * weights.get(x.path, 1.0), f"({x.text})**2")
 
@@ -122,6 +125,7 @@ class Goals:
             return
         if _is_true(goal, "scale_weights_with_range"):
             self._findings.warn(goal, "weights by ranges are not read: the goal stands without them")
+        self._warn_of_rates(goal, [x for x in tracked if weights.get(x.path, 1.0)])
         reference = f"states_{len(self.parts.references) + 1}"
         names = {x.path: f"column_{k}" for k, x in enumerate(tracked, 1)}
         shown = ", ".join(f"{own}: {_quote(path)}" for path, own in names.items())
@@ -175,6 +179,7 @@ class Goals:
                     remedy = f"did you mean {abbreviate(meant)}?" if meant else "give the path of a variable"
                     self._findings.fault(pair, f"there is no variable {abbreviate(path)}", remedy)
                 if not missing:
+                    self._warn_of_rates(pair, [paths[first], paths[last]])
                     self._pair(paths[first], paths[last], -1 if _is_true(pair, "negate") else 1)
 
     def _pair(self, first: Variable, last: Variable, sign: int) -> None:
@@ -191,6 +196,9 @@ class Goals:
             self.parts.pairs[first.own if first.kind == "value" else first.name] = text
 
     # --- parts -------------------------------------------------------------------------------------------------------
+
+    def _warn_of_rates(self, goal: Element, used: Sequence[Variable]) -> None:
+        warn_of_goal(goal, used, self._study, self._findings)
 
     def _run(self, goal: Element, weight: float, text: str) -> None:
         if weight:
@@ -268,13 +276,16 @@ class Goals:
 def write_problem(study: Study, model: str, findings: Findings) -> str:
     """Write the problem file of a study over a model file. Raises InputError where goals name what is not there."""
     parts = Goals(study, findings).read()
+    warn_of_bounds(study, findings)
     if findings.faults:
         raise findings.refuse()
     if not (parts.running or parts.terminal or parts.track):
         findings.sum_up("no goal is left: any motion within the bounds is a solution")
     lines = [*_write_grid(study, model), *_write_ends(study, parts), *_write_bounds(study)]
-    if study.lags is not None or any(x.kind == "excitation" for x in study.variables.values()):
-        lines += _write_muscles(study)
+    muscles, narrower = write_muscles(study, findings)
+    if muscles:
+        lines.append(muscles)
+        parts.constraints += narrower
     if parts.references:
         lines += ["references:", *parts.references]
     lines.append("cost:" if parts.running or parts.terminal or parts.track else "cost: {inputs: 0}")
@@ -343,13 +354,6 @@ def _write_bounds(study: Study) -> Iterator[str]:
         ]
         if rows:
             yield f"  {key}: {{{', '.join(rows)}}}"
-
-
-def _write_muscles(study: Study) -> Iterator[str]:
-    ranges = [x.limits.whole for x in study.variables.values() if x.kind == "excitation"]
-    low, high = ranges[0]
-    lags = "" if study.lags is None else f", rise: {study.lags[0]!r}, fall: {study.lags[1]!r}"
-    yield f"muscles: {{excitation: [{low or 0.0!r}, {1.0 if high is None else high!r}]{lags}, effort: 0}}"
 
 
 def _write_link(study: Study, parts: _Parts) -> Iterator[str]:

@@ -33,6 +33,7 @@ FREE: Range = (None, None)
 SPEEDS: Range = (-50.0, 50.0)  # rad/s or m/s, of all coordinates, unless the phase gives others
 INTERVALS = 100
 TOLERANCE = 1e-8
+_LEAST = {"Millard2012EquilibriumMuscle": 0.01, "Thelen2003Muscle": 0.01}  # excitations; of others 0
 _ACTUATORS = ("CoordinateActuator", "ActivationCoordinateActuator")
 _RIGID, _DEGROOTE = "ModOpIgnoreTendonCompliance", "ModOpReplaceMusclesWithDeGrooteFregly2016"
 _SCHEMES = {"trapezoidal": ("lobatto", 2), "hermite-simpson": ("lobatto", 3)}
@@ -111,6 +112,7 @@ class Variable:
     slope: float = 1.0
     offset: float = 0.0
     limits: Limits = field(default_factory=Limits)
+    origin: Element | None = None  # that has given its bounds
 
     @property
     def text(self) -> str:
@@ -245,11 +247,12 @@ class _File:
                     known[path] = self._bound(known[path], info)
                 else:
                     self._miss(info, path, own)
-        default = self._read_range(phase.first("default_speed_bounds"))
+        given = phase.first("default_speed_bounds")
+        default = self._read_range(given)
         for path, x in known.items():
             if x.kind == "speed" and x.limits.whole == FREE:
-                whole = SPEEDS if default == FREE else default
-                known[path] = replace(x, limits=replace(x.limits, whole=whole))
+                whole, origin = (SPEEDS, phase) if default == FREE else (default, given)
+                known[path] = replace(x, limits=replace(x.limits, whole=whole), origin=x.origin or origin)
         return known
 
     def _list_states(self, model: Element, imported: Imported) -> Iterator[Variable]:
@@ -298,10 +301,10 @@ class _File:
                         self._number(element, "deactivation_time_constant", 0.06),
                     )
                 )
-                low = self._number(element, "min_control", 0.01), self._number(element, "max_control", 1.0)
-                limits = Limits(low)
+                low = self._bound_of(element, "min_control", _LEAST.get(element.tag, 0.0))
+                limits = Limits((low, self._bound_of(element, "max_control", 1.0)))
                 excitation = signal if is_quick else f"{signal}_excitation"
-                yield Variable(path, excitation, "excitation", signal, limits=limits)
+                yield Variable(path, excitation, "excitation", signal, limits=limits, origin=element)
                 if not is_quick:
                     yield Variable(f"{path}/activation", signal, "activation", signal)
                 if f"{signal}_tendon" in imported.model.signals:
@@ -323,7 +326,8 @@ class _File:
     def _bound(self, variable: Variable, info: Element) -> Variable:
         """Put the bounds of an info in the place of a variable's own."""
         whole, start, end = (self._read_range(info.first(tag)) for tag in ("bounds", "initial_bounds", "final_bounds"))
-        return replace(variable, limits=Limits(variable.limits.whole if whole == FREE else whole, start, end))
+        limits = Limits(variable.limits.whole if whole == FREE else whole, start, end)
+        return replace(variable, limits=limits, origin=info)
 
     def _match(self, info: Element, paths: Sequence[str]) -> list[str]:
         text = info.attributes.get("name", "")
@@ -412,9 +416,9 @@ class _File:
             return FREE
         return low, high
 
-    def _bound_of(self, element: Element, tag: str) -> float | None:
+    def _bound_of(self, element: Element, tag: str, default: float | None = None) -> float | None:
         child = element.first(tag)
-        return None if child is None else self._findings.bound(child, tag, {tag: child.text})
+        return default if child is None else self._findings.bound(child, tag, {tag: child.text})
 
     def _number(self, element: Element, tag: str, default: float) -> float:
         child = element.first(tag)

@@ -204,6 +204,8 @@ class _File:
         if self._findings.faults:
             raise self._findings.refuse()
         name = self._model.attributes.get("name", "").removesuffix(".osim")
+        if not name and self._choices.name is None:
+            self._findings.tell(self._model, 'it has no name: called "model" (--name)')
         imported = self._draft.finish(name or "model", gravity, self._root)
         balls = [joint.coordinates[:3] for joint in joints if joint.element.tag in ("BallJoint", "FreeJoint")]
         turns = tuple((a, b, c) for a, b, c in balls)
