@@ -15,7 +15,7 @@ FILES = (  # that faults are drawn in
     "csrc/stages/*.c",
     *(f"csrc/mbs_{name}.c" for name in ("check", "cone", "dense", "explicit", "least", "many", "radau", "rollout")),
     *(f"csrc/mbs_{name}.c" for name in ("stepping", "variational")),
-    *(f"csrc/kkt/mbs_{name}.c" for name in ("front", "ldl", "order", "partners", "plan")),
+    *(f"csrc/kkt/mbs_{name}.c" for name in ("front", "ipopt", "ldl", "order", "partners", "plan")),
     "csrc/program/*.c",
     *(f"python/mbsrun/{name}/*.py" for name in ("controllers", "linearisation", "recordings", "tracking")),
     "python/mbsrun/simulation/**/*.py",

@@ -107,7 +107,7 @@ static void read_parts(void)
 /* --- a plant of two joints: constant M, and forces that are linear in the coordinates ------------------------------ */
 
 static casadi_real *room;
-static casadi_int numbers[40], fired[4], held[2], kind[4], joint[4], place[4], row_of[3], guard_of[3];
+static casadi_int *numbers, fired[4], held[2], kind[4], joint[4], place[4], row_of[3], guard_of[3];
 static casadi_real q2[2], qd2[2], rest[2], left[2], mass[4], stiffness[2], push[2], values[8];
 static casadi_real sign[2], torque[2], fading[2], slowness[2], side[4], level[4], restitution[2], impulse_of[3];
 static const casadi_int everywhere[4] = {0, 1, 2, 3};
@@ -161,11 +161,17 @@ static void anew(casadi_int guards)
     evaluated = failing = 0;
 }
 
-/* Open a run in a room of exactly the numbers that are asked for. */
+/* Make room for exactly the numbers that are asked for. */
+static void make_room(void)
+{
+    free(room), free(numbers);
+    room = calloc((size_t)mbs_explicit_reals(&plant, manner.stages), sizeof *room);
+    numbers = calloc((size_t)mbs_explicit_integers(&plant), sizeof *numbers);
+}
+
 static mbs_run open_here(void)
 {
-    free(room);
-    room = calloc((size_t)mbs_explicit_reals(&plant, manner.stages), sizeof *room);
+    make_room();
     return open_run(&plant, &manner, room, numbers, &outcome);
 }
 
@@ -532,8 +538,7 @@ static casadi_real times[40], states[160], begins;
 
 static void go(casadi_real end, casadi_real *h, casadi_int steps)
 {
-    free(room);
-    room = calloc((size_t)mbs_explicit_reals(&plant, manner.stages), sizeof *room);
+    make_room();
     times[0] = begins;
     states[0] = states[1] = states[2] = states[3] = 0;
     mbs_explicit_run(&plant, &manner, end, h, steps, 0, 0, times, states, room, numbers, &outcome);
@@ -555,6 +560,15 @@ static void adaptive(void)
     prepare_steps(1), h = 1;
     go(100, &h, 1);
     LAW("an error of the tolerance is accepted", outcome.rejected == 0 && alike(h, 0.9));
+    prepare_steps(1), modes.guards = 1, side[0] = -1, level[0] = 1, h = 1; /* 2 t^2 rises to 1 */
+    go(100, &h, 1);
+    LAW("with the events of its step", outcome.status == MBS_EVENT && fabs(times[1] - sqrt(0.5)) < 1e-14);
+    manner.atol = 1 - 4 * (100 * MBS_EPSILON / (1 + 100 * MBS_EPSILON / NOISY)), h = 1; /* and rounding: 1 in all */
+    go(100, &h, 1);
+    LAW("to the last digit", outcome.status == MBS_EVENT && fabs(times[1] - sqrt(0.5)) < 1e-14);
+    prepare_steps(4), modes.guards = 1, side[0] = -1, level[0] = 1, h = 1;
+    go(100, &h, 1);
+    LAW("events of rejected steps do not count", outcome.status == MBS_EVENT && outcome.rejected == 1);
     prepare_steps(4), h = 1;
     go(100, &h, 1); /* 0.9 / 2, with an error of 0.81 */
     LAW("a larger one is rejected", outcome.rejected == 1 && alike(times[1], 0.45));
@@ -665,13 +679,31 @@ static void bounces(void)
     LAW("as many as may be", outcome.status == MBS_EVENT && modes.bounces == 1 && fabs(times[outcome.steps] - 2) < 1e-13);
 }
 
+static int fall_faster(casadi_real t)
+{
+    push[0] = -t;
+    return 0;
+}
+
+/* -t^3/6 falls to -1/6 at 1, where -1/2 is thrown back by half. */
+static void impacts_in_time(void)
+{
+    casadi_real h = 0;
+    anew(1);
+    level[0] = -1.0 / 6, modes.most = 3, modes.slow = 0.1, manner.inputs = fall_faster;
+    manner.estimates = 1, E4[0] = 1e-3, E4[3] = -1e-3, manner.atol = manner.rtol = 1;
+    go(1.2, &h, 38);
+    LAW("after an impact time goes on", outcome.status == 0 && modes.bounces == 1 && times[outcome.steps] == 1.2);
+    LAW("with the forces there", fabs(states[4 * outcome.steps] - (0.05 + 0.1 - 1.728 / 6)) < 1e-13);
+    LAW("from its first rates on", fabs(states[4 * outcome.steps + 2] - (0.25 - 0.22)) < 1e-13);
+}
+
 static void series(void)
 {
     static casadi_real kept[2][24], lengths[2], numbers_of[2] = {-1, -2};
     static const casadi_real outputs[5] = {0.125, 0.5, 1, 1 + 1e-12, 3};
     const mbs_parameters set = {numbers_of, 1, 1, push};
     mbs_series wanted;
-    casadi_int *integers;
     int status[2], k, i;
     prepare_steps(0);
     memset(&wanted, 0, sizeof wanted), memset(kept, 0, sizeof kept);
@@ -679,10 +711,8 @@ static void series(void)
     wanted.chunk = 3, wanted.most = 100, manner.atol = 1;
     for (k = 0; k < 2; ++k)
         lengths[k] = 1.0 / 3, kept[k][0] = 10 + k;
-    free(room);
-    room = calloc((size_t)mbs_explicit_reals(&plant, 2), sizeof *room);
-    integers = calloc((size_t)mbs_explicit_integers(&plant), sizeof *integers);
-    mbs_explicit_series(&plant, &manner, &wanted, 0, 2, kept[0], lengths, times, states, room, integers, status);
+    make_room();
+    mbs_explicit_series(&plant, &manner, &wanted, 0, 2, kept[0], lengths, times, states, room, numbers, status);
     for (k = 0; k < 2; ++k) {
         LAW("each motion of a series has its own status", status[k] == 0);
         for (i = 0; i < 5; ++i) {
@@ -693,9 +723,8 @@ static void series(void)
     }
     LAW("a motion ends exactly", fabs(kept[0][20] - 5.5) < 1e-12);
     wanted.most = 1, lengths[0] = lengths[1] = 0.01;
-    mbs_explicit_series(&plant, &manner, &wanted, 1, 2, kept[0], lengths, times, states, room, integers, status);
+    mbs_explicit_series(&plant, &manner, &wanted, 1, 2, kept[0], lengths, times, states, room, numbers, status);
     LAW("a motion of too many steps ends", status[0] == 0 && status[1] == MBS_LONG);
-    free(integers);
 }
 
 int main(void)
@@ -715,6 +744,7 @@ int main(void)
     ends();
     fixed_steps();
     bounces();
+    impacts_in_time();
     series();
     choose_joints();
     correct_alone();

@@ -14,7 +14,7 @@ static casadi_real sign[2], torque[2], fading[2], slowness[2], coefficient[2], f
 static const casadi_real mass[4] = {2, 1, 1, 3};
 static const casadi_int every[4] = {0, 1, 2, 3}, lines[3] = {2, 1, 5}, owner[2] = {0, 1}, columns[2] = {0, 1};
 static casadi_real units[18], nothing[18];
-static casadi_int numbers[16], held[2], kind[2], joint[2], fired[2];
+static casadi_int *numbers, held[2], kind[2], joint[2], fired[2];
 static const casadi_real A[1] = {0}, b[1] = {1}, c[1] = {0};
 static mbs_explicit plant;
 static mbs_modes modes;
@@ -72,8 +72,6 @@ static mbs_run open_here(void)
     }
     for (i = 0; i < 9; i += 4)
         units[i] = 1, units[9 + i] = 0.5;
-    for (i = 0; i < 16; ++i)
-        numbers[i] = 1 << 24; /* nobody reads what nobody wrote */
     poses = reactions = failing = 0;
     plant.n = plant.nq = 2, plant.q = q, plant.qd = qd, plant.rest = rest, plant.r = left, plant.modes = &modes;
     plant.M.nonzeros = mass, plant.M.entries = 4, plant.M.place = every;
@@ -88,6 +86,9 @@ static mbs_run open_here(void)
     loads.reactions.f = find_reactions, loads.poses.f = find_poses;
     manner.stages = 1, manner.order = 1, manner.A = A, manner.b = b, manner.c = c;
     free(room), room = calloc((size_t)mbs_explicit_reals(&plant, 1), sizeof *room);
+    free(numbers), numbers = malloc((size_t)mbs_explicit_integers(&plant) * sizeof *numbers);
+    for (i = 0; i < mbs_explicit_integers(&plant); ++i)
+        numbers[i] = 1 << 24; /* nobody reads what nobody wrote */
     return open_run(&plant, &manner, room, numbers, &outcome);
 }
 
@@ -110,6 +111,7 @@ static void one(casadi_real way, casadi_real speed)
     casadi_real f[2], a[2], *rate;
     mbs_run r = open_here();
     sign[0] = way, coefficient[0] = 0.2, fall[0] = 0.1, slowness[0] = 0.25, hold[0] = 1, push[0] = 4, push[1] = -2;
+    LAW("integers have room, two for each joint and two for its load", mbs_explicit_integers(&plant) == 8);
     LAW("accelerations are found", evaluate(&r, 0, 0, state) == 0);
     rate = r.k + 2;
     f[0] = 4 - way * friction * (10 + 0.3 * rate[0] + 0.2 * rate[1]), f[1] = -2;
@@ -201,6 +203,6 @@ int main(void)
 {
     one(1, 2), one(-1, 3), one(1, 0);
     both(), resting(), guards(), failures();
-    free(room), free(rest);
+    free(room), free(numbers), free(rest);
     return broken > 0;
 }

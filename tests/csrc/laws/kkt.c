@@ -1,5 +1,17 @@
 /* The factorisation of sparse indefinite systems: solutions and inertia by dense methods that are written out here, orders
  * of elimination, partners of unknowns that have no pivot. */
+#include <stdlib.h>
+
+static long memory_left = -1; /* which of the next requests for memory fails, or none */
+
+static int lacks(void)
+{
+    return memory_left >= 0 && memory_left-- == 0;
+}
+
+#define malloc(size) (lacks() ? 0 : malloc(size))
+#define calloc(count, size) (lacks() ? 0 : calloc(count, size))
+#define realloc(from, size) (lacks() ? 0 : realloc(from, size))
 #include "../../../csrc/kkt/mbs_front.c"
 #define update update_graph
 #include "../../../csrc/kkt/mbs_order.c"
@@ -283,6 +295,29 @@ static void waiting(void)
     LAW("signs count", e.eliminated == 2 && e.negative == 2);
 }
 
+/* Two unknowns (0.5, 1; 1, 0.25) beside a third one, by 4 and 2. */
+static void pairs(void)
+{
+    double front[8 * 3 + 8] = {0};
+    const state s = {front, 3, 8, 2, 0, 0, 0, 2, 0, 0, 0, 0};
+    pivot best = {-1, -1, 0};
+    view of;
+    front[0] = 0.5, front[1] = 1, front[2] = 4, front[8 + 1] = 0.25, front[8 + 2] = 2;
+    of = look(&s, 0);
+    LAW("a column is seen", of.row == 1 && of.among == 1 && of.second == 0 && of.below == 4);
+    consider_pair(&s, 0, &of, 1e-20, &best);
+    LAW("a pair is as good as its inverse is small", best.first == 0 && best.second == 1 && near(best.ratio, 0.875 / 5));
+    front[2] = of.below = 100, best.ratio = 0;
+    consider_pair(&s, 0, &of, 1e-20, &best);
+    LAW("or one of both is better alone", best.first == 1 && best.second == -1 && best.ratio == 0.125);
+    front[2] = of.below = front[8 + 2] = 0.1, best.ratio = 0;
+    consider_pair(&s, 0, &of, 1e-20, &best);
+    LAW("far better beside small numbers", near(best.ratio, 0.875 / 0.15));
+    front[2] = of.below = front[8 + 2] = 0;
+    consider_pair(&s, 0, &of, 1e-20, &best);
+    LAW("a pair beside nothing is the best", best.first == 0 && best.second == 1 && best.ratio == HUGE_VAL);
+}
+
 /* Edges of a graph, each at both ends. */
 typedef struct {
     int n, start[402], adjacent[4000];
@@ -361,6 +396,13 @@ static void orders(void)
     connect(&g, 300, e, edge);
     mbs_order(300, g.start, g.adjacent, weak, partner, order);
     LAW("an unknown with too many neighbours is the last", order[299] == 0);
+    weak[299] = 1, partner[299] = 0, partner[0] = 299;
+    mbs_order(300, g.start, g.adjacent, weak, partner, order);
+    for (k = 0; k < 300; ++k)
+        place[order[k]] = k;
+    LAW("a weak one whose partner that is waits for another", place[299] > place[298]);
+    for (weak[299] = 0, i = 0; i < 300; ++i)
+        partner[i] = -1;
     LAW("too many are more than 64, or 5 roots", mbs_most_neighbours(4) == 64 && mbs_most_neighbours(10000) == 500);
     LAW("which are few in a large system", mbs_most_neighbours(170) == 65);
 }
@@ -453,6 +495,89 @@ static void weakness(void)
     LAW("marks stay", mbs_mark_weak(4, start, row, value, weak, work) == 0 && weak[0] == 1);
 }
 
+/* A hub, joined with one of two weak unknowns of each pair: pairs go first, since they are the ends of a tree. */
+static void hanging_pairs(void)
+{
+    static graph_of g;
+    static int edge[20][2], order[21], partner[21];
+    char weak[21];
+    int i;
+    for (i = 0; i < 10; ++i) {
+        edge[2 * i][0] = 2 * i, edge[2 * i][1] = 2 * i + 1;
+        edge[2 * i + 1][0] = 2 * i + 1, edge[2 * i + 1][1] = 20;
+        partner[2 * i] = 2 * i + 1, partner[2 * i + 1] = 2 * i, weak[2 * i] = weak[2 * i + 1] = 1;
+    }
+    weak[20] = 0, partner[20] = -1;
+    connect(&g, 21, 20, edge);
+    mbs_order(21, g.start, g.adjacent, weak, partner, order);
+    LAW("a pair needs no other pivot", order[20] == 20 || order[18] == 20);
+    LAW("and is no reason for fill", count_fill(&g, order) == 0);
+}
+
+/* One front of eight unknowns: L with a stride of eight, D of sixteen numbers, and room for the front alone. */
+static void rooms(void)
+{
+    static sparse s;
+    const mbs_pivoting pivoting = {1e-8, 1e-20};
+    int partner[8], i;
+    char weak[8] = {0};
+    mbs_plan *plan;
+    mbs_factors *factors;
+    fill(&s, 8, 0, 1, 1);
+    for (i = 0; i < 8; ++i)
+        s.dense[9 * i] = 40, partner[i] = -1;
+    gather(&s);
+    plan = mbs_make_plan(8, s.start, s.row, weak, partner);
+    factors = mbs_make_factors(plan);
+    LAW("room is expected", factors->values.room >= 80 && plan->fronts == 1);
+    free(factors->values.memory), memset(&factors->values, 0, sizeof factors->values);
+    hold_numbers(&factors->values, 48);
+    LAW("of half as much again", factors->values.room == 72);
+    LAW("entries are those of L and D", mbs_factorise(factors, s.value, &pivoting).entries == 80 && factors->values.room >= 80);
+    mbs_free_factors(factors), mbs_release_plan(plan);
+}
+
+/* Each request for memory may fail: somebody says so, and all the rest is given back. */
+static void scarce(void)
+{
+    static sparse s;
+    const mbs_pivoting pivoting = {1e-8, 1e-20};
+    char weak[N] = {0};
+    double room[2 * N];
+    int partner[N], k, is_enough = 0;
+    fill(&s, 24, 6, 0.2, 0.5);
+    mbs_mark_weak(s.n, s.start, s.row, s.value, weak, room);
+    for (k = 0; !is_enough; ++k) {
+        mbs_plan *plan = 0;
+        mbs_factors *factors = 0;
+        int is_done = 0;
+        memory_left = k;
+        if (mbs_find_partners(s.n, s.start, s.row, s.value, weak, 1, partner) == 0)
+            plan = mbs_make_plan(s.n, s.start, s.row, weak, partner);
+        if (plan)
+            factors = mbs_make_factors(plan);
+        if (factors)
+            is_done = !mbs_factorise(factors, s.value, &pivoting).failed;
+        is_enough = memory_left >= 0;
+        LAW("where memory runs out nothing is done", is_done == is_enough);
+        mbs_release_plan(plan), mbs_free_factors(factors);
+    }
+    memory_left = -1;
+    LAW("all parts ask for some", k > 20);
+}
+
+/* The largest of a few numbers or of many, wherever it is. */
+static void peaks(void)
+{
+    int n, i;
+    for (n = 1; n < 20; ++n)
+        for (i = 0; i < n; ++i) {
+            double a[20] = {0};
+            a[i] = i % 2 ? 3 : -3;
+            LAW("each number counts", peak(a, n) == 3 && peak(a, i) == 0 && peak(a + i, 1) == 3);
+        }
+}
+
 /* Factors of a band grow with its length, in fronts of few unknowns. */
 static void bands(void)
 {
@@ -494,6 +619,6 @@ static void bands(void)
 
 int main(void)
 {
-    systems(), singular(), fronts(), waiting(), orders(), weak_ones(), partners(), weakness(), bands();
+    systems(), singular(), fronts(), waiting(), pairs(), orders(), weak_ones(), partners(), weakness(), hanging_pairs(), rooms(), scarce(), peaks(), bands();
     return broken > 0;
 }
