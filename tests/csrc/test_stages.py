@@ -319,7 +319,7 @@ def test_coarse_tolerances_end(library: Library, tolerance: float) -> None:
 def test_problems_are_solved_from_far_guesses(library: Library) -> None:
     """They take the watchdog, and steps that lower the errors alone; IPOPT needs more than 400 iterations for one.
 
-    The guesses are those of the comparison in stage_figures.
+    The comparison in stage_figures has the same guesses.
     """
     iterations = 0
     for problem in far_guesses(6)[6:12]:
