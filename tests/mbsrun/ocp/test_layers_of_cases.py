@@ -3,15 +3,30 @@
 from __future__ import annotations
 
 from concurrent.futures import Future
+from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import cast
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
 
-from mbsrun.ocp.cases import neighbours
+from mbsrun.ocp.cases import cases, neighbours
 from mbsrun.ocp.cases.layers import Place, Source, Start, find_starts, keep_paths, weigh
-from mbsrun.ocp.cases.neighbours import BLOCK, FEWEST, HOPED, SECONDS, Origin, Pace, Waiting, follow, gather, split
+from mbsrun.ocp.cases.neighbours import (
+    BLOCK,
+    ENOUGH,
+    FEWEST,
+    HOPED,
+    SECONDS,
+    Origin,
+    Pace,
+    Waiting,
+    follow,
+    gather,
+    solve_neighbours,
+    split,
+)
 from mbsrun.ocp.evaluation.stages.binding import Point
 from mbsrun.ocp.methods import Near, mix
 from mbsrun.ocp.solution.phases import Guess
@@ -55,7 +70,11 @@ def test_the_order_of_cases_does_not_matter() -> None:
     order = np.random.default_rng(0).permutation(len(x))
     first, again = find_starts(place(x)), find_starts(place(x[order]))
     back = [
-        Start(int(order[s.case]), tuple(Source(int(order[source.case]), source.offset) for source in s.sources))
+        Start(
+            int(order[s.case]),
+            tuple(Source(int(order[source.case]), source.offset) for source in s.sources),
+            s.is_probe,
+        )
         for s in again
     ]
     assert back == list(first)
@@ -172,6 +191,84 @@ def test_tries_that_cost_more_than_they_save_are_left_out() -> None:
     left_out = Origin(neighbour, 20, expected=1.5).leave(neighbour, 20, 0.5)
     assert left_out.expect(0.5) == 1.5
     assert Origin(neighbour, 20).expect(3.0) == HOPED
+
+
+def test_a_try_must_hope_to_save_a_quarter() -> None:
+    """A share between that and 1 is no reason; the first try of all has one."""
+    neighbour = cast("Neighbour", object())
+    assert Origin(neighbour, 20, expected=ENOUGH).is_worth_a_try
+    assert Origin(neighbour, 20, expected=HOPED).is_worth_a_try
+    assert not Origin(neighbour, 20, expected=0.8).is_worth_a_try
+
+
+def test_where_no_try_succeeded_yet_only_probes_try() -> None:
+    """The first eight cases, and then each fourth one; one source whose own try succeeded is enough for the others."""
+    starts = find_starts(place(np.linspace(0, 1, 40)[:, None]))
+    assert [n for n, start in enumerate(starts) if start.is_probe] == [*range(8), *range(8, 40, 4)]
+    plain = Origin(Solves.end, ALONE)
+    failed, led = plain.leave(Solves.end, ALONE, 1.0), plain.lead(Solves.end, 10, 1.0)
+    sources = Source(0, (0.1,)), Source(1, (0.2,))
+    for is_probe, second, is_tried in ((True, failed, True), (False, failed, False), (False, led, True)):
+        found = gather(Start(2, sources, is_probe), {0: failed, 1: second})
+        assert found is not None
+        assert found.is_worth_a_try == is_tried
+
+
+ALONE = 40  # iterations of a solve from a guess
+
+
+@dataclass
+class Solves:
+    """Stand in for the solver of cases, which are numbers: a try takes a share of ALONE, or fails."""
+
+    share: float | None
+    tried: set[Any] = field(default_factory=set)
+    iterations: int = 0
+
+    end = Neighbour(cast("Guess", None), np.zeros(1), Near(b"", Point(*(np.zeros(1) for _ in range(4)))), None, 1.0)
+
+    def solve(self, _: Any, note: Any) -> Any:
+        note(self.end)
+        self.iterations += ALONE
+        return SimpleNamespace(run=SimpleNamespace(iterations=ALONE))
+
+    def solve_near(self, tries: list[cases.Try], _: int) -> list[Any]:
+        self.tried |= {one.case for one in tries}
+        if self.share is None:
+            self.iterations += sum(one.most_iterations for one in tries)
+            return [None] * len(tries)
+        taken = round(self.share * ALONE)
+        self.iterations += taken * len(tries)
+        return [cases.Near(cast("Any", SimpleNamespace(run=SimpleNamespace(iterations=taken))), self.end)] * len(tries)
+
+
+def solve_all(x: np.ndarray, share: float | None, monkeypatch: pytest.MonkeyPatch, threads: int = 1) -> Solves:
+    """Solve a case at each place, and return what was tried."""
+    solver = Solves(share)
+    monkeypatch.setattr(neighbours, "CaseSolver", lambda _: solver)
+    starts, given = find_starts(place(x)), cast("Any", [tuple(row) for row in x.tolist()])
+    assert sorted(k for k, _ in solve_neighbours(given, starts, cast("Any", None), threads)) == list(range(len(x)))
+    return solver
+
+
+@pytest.mark.parametrize("count", [64, 200])
+def test_cases_far_apart_give_neighbours_up_where_tries_fail(count: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Random places in seven dimensions: failures cost at most a fifth of the solves from guesses."""
+    x = np.random.default_rng(1).uniform(size=(count, 7))
+    solver = solve_all(x, None, monkeypatch)
+    assert 1 <= len(solver.tried) <= count // 5
+    assert solver.iterations <= 1.2 * ALONE * count
+
+
+def test_tries_that_save_are_kept_and_depend_on_the_set_of_cases_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """All but the first one of a line try; neither threads nor the order decide which, where some fail."""
+    line = np.linspace(0, 1, 65)[:, None]
+    assert len(solve_all(line, 0.25, monkeypatch).tried) == 64
+    x = np.random.default_rng(2).uniform(size=(100, 2))
+    first = solve_all(x, None, monkeypatch).tried
+    assert 0 < len(first) < 99
+    for threads in (1, 2):
+        assert solve_all(x[::-1], None, monkeypatch, threads).tried == first
 
 
 def test_blocks_hold_no_sources_of_theirs_and_shrink_where_cases_take_long() -> None:

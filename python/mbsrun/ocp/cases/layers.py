@@ -22,6 +22,8 @@ Array = NDArray[np.float64]
 MOST = 16  # sources of a case, which has no more than a cubic function has coefficients
 SLACK = 1e-9  # the price of weights over the one of missing the place
 CURVED = 1e-3  # the same, over the one of missing values of functions of higher degree
+FIRST = 8  # the first cases are all probes
+PROBE = 4  # of the later ones, each that many-th is one
 SPAN = 2.0  # the length in which functions vary, over the distance of the farthest source
 
 
@@ -53,6 +55,7 @@ class Start:
 
     case: int
     sources: tuple[Source, ...] = ()  # the nearest first; none: its own guess
+    is_probe: bool = True  # it tries its sources even where no try succeeded yet
 
     @property
     def parent(self) -> int | None:
@@ -112,7 +115,8 @@ def _join(cases: Sequence[int], places: Sequence[Place]) -> list[Start]:
         k, earlier = chosen[n], chosen[: 1 << (n.bit_length() - 1)]
         distances = _measure(x[earlier], x[k])
         nearest = [earlier[i] for i in np.argsort(distances, kind="stable")[:most].tolist()]
-        starts.append(Start(order[k], tuple(Source(order[i], tuple((x[i] - x[k]).tolist())) for i in nearest)))
+        sources = tuple(Source(order[i], tuple((x[i] - x[k]).tolist())) for i in nearest)
+        starts.append(Start(order[k], sources, n < FIRST or n % PROBE == 0))
     return starts
 
 

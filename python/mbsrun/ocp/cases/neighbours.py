@@ -2,9 +2,12 @@
 
 A case starts from the solutions of its nearest sources, with all multipliers: from a mixture of them that is right to
 first order at least, after which the first step of Newton's method is the tangential prediction. Where that has no
-solution soon, the case is solved from its own guess. A case does not try where its sources did not save iterations,
-unless it is nearer to them than they were to theirs. All of this depends on the ancestors of a case alone, so neither
-the order of the list nor the number of threads or processes changes a result.
+solution soon, the case is solved from its own guess. Iterations of tries, with the ones of the solves that follow
+failures, are compared with iterations of solves from guesses. A case does not try where its sources did not save a
+quarter of them, unless it is nearer to its sources than they were to theirs: a small gain is not sure, and iterations
+of a try take longer. As long as no try of its sources succeeded, only probes try: the first cases, and then each fourth
+one. All of this depends on the ancestors of a case alone, so neither the order of the list nor the number of threads or
+processes changes a result.
 """
 
 from __future__ import annotations
@@ -30,7 +33,8 @@ PART = 1.0  # of the iterations of a solve from a guess, the most that a case tr
 FEWEST = 6  # iterations that it tries
 BLOCK = 64  # cases that are solved at once, at most
 SECONDS = 2.0  # for these, of which nobody hears before all have ended
-HOPED = 0.75  # of these iterations, before any try
+ENOUGH = 0.75  # of these iterations, the most that a case expects where it tries
+HOPED = ENOUGH  # before any try: the first one shows more
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,11 +46,13 @@ class Origin:
     share: float = HOPED  # iterations of a start from neighbours, with all that follow a failure, over these
     distance: float = 0.0  # of the sources of that start
     expected: float = HOPED  # the share of a case that starts here
+    was_led: bool = False  # its own try succeeded
+    is_open: bool = True  # a case that starts here is a probe, or a source of it was led
 
     @property
     def is_worth_a_try(self) -> bool:
         """Return whether a case starts here."""
-        return self.neighbour is not None and self.expected < 1
+        return self.neighbour is not None and self.is_open and self.expected <= ENOUGH
 
     @property
     def most_iterations(self) -> int:
@@ -59,7 +65,7 @@ class Origin:
 
     def lead(self, found: Neighbour | None, tried: int, distance: float) -> Origin:
         """Return the origin after a try that succeeded."""
-        return Origin(found, self.iterations, tried / max(1, self.iterations), distance)
+        return Origin(found, self.iterations, tried / max(1, self.iterations), distance, was_led=True)
 
     def leave(self, found: Neighbour | None, iterations: int, distance: float) -> Origin:
         """Return the origin after a solve from a guess: after a try that failed, or without one."""
@@ -96,8 +102,10 @@ def _inherit(start: Start, origins: Mapping[int, Origin]) -> Origin | None:
     """Return the origin of the nearest source, with the share that all sources expect."""
     if start.parent is None:
         return None
-    shares = [origins[source.case].expect(start.distance) for source in start.sources]
-    return replace(origins[start.parent], expected=math.fsum(shares) / len(shares))
+    sources = [origins[source.case] for source in start.sources]
+    shares = [source.expect(start.distance) for source in sources]
+    is_open = start.is_probe or any(source.was_led for source in sources)
+    return replace(origins[start.parent], expected=math.fsum(shares) / len(shares), is_open=is_open)
 
 
 def _mix(starts: Sequence[Start], origins: Mapping[int, Origin]) -> list[Near]:
