@@ -406,6 +406,10 @@ static void events(void)
     r = open_here();
     evaluate(&r, 0, 0, x), step(&r, 0, h, x, 1, y);
     LAW("the way back to a guard is found, not the start", look(&r, 0, &h, x, y) == MBS_EVENT && fabs(h - 1) < 1e-14);
+    x[0] = -1e-13, h = 1.5;
+    r = open_here();
+    evaluate(&r, 0, 0, x), step(&r, 0, h, x, 1, y);
+    LAW("though rounding has put the start below", look(&r, 0, &h, x, y) == MBS_EVENT && fabs(h - 1) < 1e-12);
     /* a guard that is 0 at the start and falls at once */
     x[0] = 0, x[2] = -0.5, h = 1;
     r = open_here();
