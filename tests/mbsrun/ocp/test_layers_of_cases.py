@@ -202,9 +202,9 @@ def test_a_try_must_hope_to_save_a_quarter() -> None:
 
 
 def test_where_no_try_succeeded_yet_only_probes_try() -> None:
-    """The first eight cases, and then each fourth one; one source whose own try succeeded is enough for the others."""
+    """The first 32 cases, and then each second one; one source whose own try succeeded is enough for the others."""
     starts = find_starts(place(np.linspace(0, 1, 40)[:, None]))
-    assert [n for n, start in enumerate(starts) if start.is_probe] == [*range(8), *range(8, 40, 4)]
+    assert [n for n, start in enumerate(starts) if start.is_probe] == [*range(32), *range(32, 40, 2)]
     plain = Origin(Solves.end, ALONE)
     failed, led = plain.leave(Solves.end, ALONE, 1.0), plain.lead(Solves.end, 10, 1.0)
     sources = Source(0, (0.1,)), Source(1, (0.2,))
@@ -253,11 +253,11 @@ def solve_all(x: np.ndarray, share: float | None, monkeypatch: pytest.MonkeyPatc
 
 @pytest.mark.parametrize("count", [64, 200])
 def test_cases_far_apart_give_neighbours_up_where_tries_fail(count: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Random places in seven dimensions: failures cost at most a fifth of the solves from guesses."""
+    """Random places in seven dimensions: failures cost at most three tenths of the solves from guesses."""
     x = np.random.default_rng(1).uniform(size=(count, 7))
     solver = solve_all(x, None, monkeypatch)
-    assert 1 <= len(solver.tried) <= count // 5
-    assert solver.iterations <= 1.2 * ALONE * count
+    assert 1 <= len(solver.tried) <= 3 * count // 10
+    assert solver.iterations <= 1.3 * ALONE * count
 
 
 def test_tries_that_save_are_kept_and_depend_on_the_set_of_cases_alone(monkeypatch: pytest.MonkeyPatch) -> None:

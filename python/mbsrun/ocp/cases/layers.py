@@ -22,8 +22,8 @@ Array = NDArray[np.float64]
 MOST = 16  # sources of a case, which has no more than a cubic function has coefficients
 SLACK = 1e-9  # the price of weights over the one of missing the place
 CURVED = 1e-3  # the same, over the one of missing values of functions of higher degree
-FIRST = 8  # the first cases are all probes
-PROBE = 4  # of the later ones, each that many-th is one
+FIRST = 32  # the first cases are all probes
+PROBE = 2  # of the later ones, each that many-th is one
 SPAN = 2.0  # the length in which functions vary, over the distance of the farthest source
 
 

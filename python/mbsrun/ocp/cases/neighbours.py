@@ -5,7 +5,7 @@ first order at least, after which the first step of Newton's method is the tange
 solution soon, the case is solved from its own guess. Iterations of tries, with the ones of the solves that follow
 failures, are compared with iterations of solves from guesses. A case does not try where its sources did not save a
 quarter of them, unless it is nearer to its sources than they were to theirs: a small gain is not sure, and iterations
-of a try take longer. As long as no try of its sources succeeded, only probes try: the first cases, and then each fourth
+of a try take longer. As long as no try of its sources succeeded, only probes try: the first cases, and then each second
 one. All of this depends on the ancestors of a case alone, so neither the order of the list nor the number of threads or
 processes changes a result.
 """
