@@ -31,7 +31,6 @@ from mbsrun.ocp.optima.point import (
     complete,
 )
 from mbsrun.ocp.optima.status import CHANGING, DEPENDENT, FLAT, NOT_CONVERGED, SMOOTH
-from mbsrun.ocp.optima.symmetric import Factors
 from mbsrun.ocp.optima.thinning import Thinned
 
 Array = NDArray[np.float64]
@@ -75,19 +74,19 @@ def search(
 @pytest.mark.parametrize(
     ("value", "force", "side"),
     [
-        (1e-3, 0.0, 0),  # a clear distance, and no force
-        (0.9e-3, 0.0, None),
-        (0.0, 1e-3, -1),  # a clear force, and no distance
-        (0.0, 0.9e-3, None),
-        (1.0, 1e-5, 0),  # the smaller one is sure to be none
-        (1.0, 1.1e-5, None),
-        (1e-5, 1.0, -1),
-        (1.1e-5, 1.0, None),
-        (1.0, -1.0, 0),  # the force of the other side
+        (1e-5, 0.0, 0),  # a distance, and no force
+        (0.9e-5, 0.0, None),
+        (0.0, 1e-5, -1),  # a force, and no distance
+        (0.0, 0.9e-5, None),
+        (0.9e-5, 0.9e-5, None),
+        (1.0, 0.9, 0),  # the larger one counts, since the optimum is looked at again
+        (0.9, 1.0, -1),
+        (1.0, 1.0, 0),
+        (1.0, -2.0, 0),  # the force of the other side
     ],
 )
-def test_a_limit_acts_where_its_force_is_clear_and_its_distance_none(value: float, force: float, side: int) -> None:
-    """Or the other way round; else there is a doubt. Distances are over sizes, and sides are mirrored."""
+def test_a_limit_acts_where_its_force_exceeds_its_distance(value: float, force: float, side: int) -> None:
+    """Where both are small, there is a doubt. Distances are over sizes, and sides are mirrored."""
     one, size = np.ones(1), 2.0
     expected = None if side is None else [side]
     found = _separate(size * value * one, 0 * one, INF * one, force * one, size * one)
@@ -393,7 +392,7 @@ def improve(monkeypatch: pytest.MonkeyPatch, steps: Sequence[float], changes: in
 
     monkeypatch.setattr(task, "_step", step)
     monkeypatch.setattr(task, "_correct", correct)
-    monkeypatch.setattr(task, "_end", lambda _at, _lam, _active, _weak, status, _implied: (len(made), status))
+    monkeypatch.setattr(task, "_end", lambda _at, _lam, _active, _weak, status, *_: (len(made), status))
     return task._improve(
         np.array([0.0, 0.0 if size == 1 else size]), np.zeros(1), active([0, 0], [0]), active([0, 0], [0])
     )
@@ -498,8 +497,6 @@ def test_a_step_meets_its_limits_and_leaves_no_slope() -> None:
     """Of x'x/2 + c'x: held variables come to bounds, chosen rows to their limits; other rows have no multiplier."""
     task = search([1.0, 2.0], [[1.0, 1.0], [1.0, -1.0]], [(-3, 0.5), (-9, 9)], [(-9, 4), (-9, 9)], [1.0, 1.0])
     at, given = task._evaluate(np.array([1.0, 1.0])), active([1, 0], [1, 0])
-    hessian = task._curve(at.x, np.zeros(2))
-    factors = Factors(assemble(hessian, at.J, given))
-    x, lam = task._step(at, np.array([5.0, 6.0]), given, hessian, factors)
+    x, lam = task._step(at, np.array([5.0, 6.0]), given, task._factorise(at, np.zeros(2), given))
     assert x == pytest.approx([0.5, 3.5])
     assert lam == pytest.approx([-5.5, 0.0])
