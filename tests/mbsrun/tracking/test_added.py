@@ -93,7 +93,7 @@ def find(folder: Path) -> Make:
 
 def write_case(name: str, folder: Path) -> Case:
     file = folder / f"{name}.ocp.yaml"
-    file.write_text(TASKS[name], encoding="utf-8")
+    file.write_text(f"{TASKS[name]}solver: {{tolerance: 1e-10}}\n", encoding="utf-8")
     problem = read_problem(file, load_on_demand)[0]
     model = folder / "puck.yaml"
     with pytest.MonkeyPatch.context() as patch:
