@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 import shlex
 import subprocess
 from collections.abc import Mapping, Sequence
@@ -25,6 +26,7 @@ from mbsrun.environment import describe_environment
 from mbsrun.library import find_compiler
 
 HERE = Path(__file__).parent
+PROCESSORS = Path("/proc/cpuinfo")
 CSRC = resources.folder("csrc")
 HEADERS = tuple(CSRC / name for name in ("mbs_sincos.h", "mbs_abi.h"))  # what C may include
 # CasADi's small functions are global: without these flags the compiler does not inline them.
@@ -48,7 +50,15 @@ BOOST = (
 def describe_machine() -> str:
     """Return the processor and the compiler that times depend on."""
     environment = describe_environment()
-    return f"{environment['processor']}, compiler {environment['compiler']}"
+    return f"{environment['processor']}{_find_family()}, compiler {environment['compiler']}"
+
+
+def _find_family() -> str:
+    """Return the family of the processor, where its name does not say which one it is."""
+    if not PROCESSORS.exists():
+        return ""
+    found = re.search(r"^cpu family\s*:\s*(\d+)$", PROCESSORS.read_text(encoding="utf-8"), re.MULTILINE)
+    return f" of family {found[1]}" if found else ""
 
 
 def describe_flags() -> str:
