@@ -31,7 +31,7 @@ from benchmarks.compilation import Workshop, find_cache, find_includes
 from benchmarks.loops.mechanism import write_xml
 from benchmarks.mechanism import write_mechanism
 from benchmarks.preparation import load_mechanism, trace
-from mbsgen.model.tree import Motion, Tree
+from mbsgen.model.tree import Body, Motion, Tree
 from mbsgen.pipeline import read_tree
 from mbsrun import Mechanism
 from mbsrun.measuring.timing import Pool, load_timing
@@ -296,28 +296,60 @@ def _numbers(entries: Any, values: Mapping[Any, float]) -> Numbers:
     return np.array(float(entries.subs(values)) if hasattr(entries, "subs") else float(entries))
 
 
-def write_urdf(tree: Tree) -> str:
-    """Write a mechanism as URDF, its base fixed to the link world."""
+@dataclass(frozen=True)
+class Link:
+    """A body and its joint, as formats write their numbers."""
+
+    kind: str
+    parent: int  # 0 is the base
+    place: str
+    turn: str  # roll, pitch, yaw
+    axis: str
+    mass: str
+    com: str
+    inertia: Mapping[str, str]  # by the axes
+
+
+def list_links(tree: Tree) -> list[Link]:
+    """Return the bodies of a mechanism."""
     values = {p.symbol: p.value for p in tree.parameters}
+    pairs = {"xx": (0, 0), "yy": (1, 1), "zz": (2, 2), "xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
 
-    def text(numbers: Numbers) -> str:
-        return " ".join(repr(float(x)) for x in numbers)
+    def text(entries: Any) -> str:
+        return " ".join(repr(float(x)) for x in np.atleast_1d(_numbers(entries, values)))
 
-    def write(number: int) -> Iterator[str]:
-        body = tree.bodies[number - 1]
+    def describe(body: Body) -> Link:
         kind = "revolute" if body.joint.motion is Motion.REVOLUTE else "prismatic"
         turn = Rotation.from_matrix(_numbers(body.orientation, values)).as_euler("xyz")
-        I, parent = _numbers(body.inertia, values), f"link{body.parent}" if body.parent else "world"
-        pairs = {"xx": (0, 0), "yy": (1, 1), "zz": (2, 2), "xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
-        entries = " ".join(f'i{name}="{float(I[place])!r}"' for name, place in pairs.items())
-        yield f'<link name="link{number}"><inertial><origin xyz="{text(_numbers(body.com, values))}" rpy="0 0 0"/>'
-        yield f'<mass value="{float(_numbers(body.mass, values))!r}"/><inertia {entries}/></inertial></link>'
-        yield f'<joint name="j{number}" type="{kind}"><parent link="{parent}"/><child link="link{number}"/>'
-        yield f'<origin xyz="{text(_numbers(body.position, values))}" rpy="{text(turn)}"/>'
-        yield f'<axis xyz="{text(np.eye(3)[body.joint.axis])}"/>'
+        I = _numbers(body.inertia, values)
+        return Link(
+            kind,
+            body.parent,
+            text(body.position),
+            text(tuple(turn)),
+            text(tuple(np.eye(3)[body.joint.axis])),
+            text(body.mass),
+            text(body.com),
+            {name: repr(float(I[place])) for name, place in pairs.items()},
+        )
+
+    return [describe(body) for body in tree.bodies]
+
+
+def write_urdf(tree: Tree) -> str:
+    """Write a mechanism as URDF, its base fixed to the link world."""
+
+    def write(number: int, link: Link) -> Iterator[str]:
+        parent = f"link{link.parent}" if link.parent else "world"
+        entries = " ".join(f'i{name}="{value}"' for name, value in link.inertia.items())
+        yield f'<link name="link{number}"><inertial><origin xyz="{link.com}" rpy="0 0 0"/>'
+        yield f'<mass value="{link.mass}"/><inertia {entries}/></inertial></link>'
+        yield f'<joint name="j{number}" type="{link.kind}"><parent link="{parent}"/><child link="link{number}"/>'
+        yield f'<origin xyz="{link.place}" rpy="{link.turn}"/>'
+        yield f'<axis xyz="{link.axis}"/>'
         yield '<limit lower="-100" upper="100" effort="1e6" velocity="1e6"/></joint>'
 
-    parts = [line for number in range(1, len(tree.bodies) + 1) for line in write(number)]
+    parts = [line for number, link in enumerate(list_links(tree), 1) for line in write(number, link)]
     entries = " ".join(f'i{name}="{int(name[0] == name[1])}"' for name in ("xx", "yy", "zz", "xy", "xz", "yz"))
     matter = f'<inertial><origin xyz="0 0 0" rpy="0 0 0"/><mass value="1"/><inertia {entries}/></inertial>'
     head = f'<robot name="{tree.name}"><link name="world">{matter}</link>'  # which all of these readers want
@@ -326,30 +358,22 @@ def write_urdf(tree: Tree) -> str:
 
 def write_sdf(tree: Tree) -> str:
     """Write a mechanism as SDF, its base fixed to the world."""
-    values = {p.symbol: p.value for p in tree.parameters}
 
-    def text(numbers: Numbers) -> str:
-        return " ".join(repr(float(x)) for x in numbers)
-
-    def write(number: int) -> Iterator[str]:
-        body = tree.bodies[number - 1]
-        kind = "revolute" if body.joint.motion is Motion.REVOLUTE else "prismatic"
-        turn = Rotation.from_matrix(_numbers(body.orientation, values)).as_euler("xyz")
-        I, parent = _numbers(body.inertia, values), f"link{body.parent}"
-        pairs = {"xx": (0, 0), "yy": (1, 1), "zz": (2, 2), "xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
-        entries = "".join(f"<i{name}>{float(I[place])!r}</i{name}>" for name, place in pairs.items())
-        mass, com = float(_numbers(body.mass, values)), text(_numbers(body.com, values))
-        yield f'<joint name="j{number}" type="{kind}"><parent>{parent}</parent><child>link{number}</child>'
-        yield f'<pose relative_to="{parent}">{text(_numbers(body.position, values))} {text(turn)}</pose>'
-        yield f"<axis><xyz>{text(np.eye(3)[body.joint.axis])}</xyz><limit><lower>-100</lower><upper>100</upper>"
+    def write(number: int, link: Link) -> Iterator[str]:
+        parent = f"link{link.parent}"
+        entries = "".join(f"<i{name}>{value}</i{name}>" for name, value in link.inertia.items())
+        yield f'<joint name="j{number}" type="{link.kind}"><parent>{parent}</parent><child>link{number}</child>'
+        yield f'<pose relative_to="{parent}">{link.place} {link.turn}</pose>'
+        yield f"<axis><xyz>{link.axis}</xyz><limit><lower>-100</lower><upper>100</upper>"
         yield "</limit></axis></joint>"
         yield f'<link name="link{number}"><pose relative_to="j{number}">0 0 0 0 0 0</pose>'
-        yield f"<inertial><pose>{com} 0 0 0</pose><mass>{mass!r}</mass><inertia>{entries}</inertia></inertial></link>"
+        yield f"<inertial><pose>{link.com} 0 0 0</pose><mass>{link.mass}</mass>"
+        yield f"<inertia>{entries}</inertia></inertial></link>"
 
     one = "<ixx>1</ixx><iyy>1</iyy><izz>1</izz><ixy>0</ixy><ixz>0</ixz><iyz>0</iyz>"
     base = f'<link name="link0"><inertial><mass>1</mass><inertia>{one}</inertia></inertial></link>'
     tie = '<joint name="tie" type="fixed"><parent>world</parent><child>link0</child></joint>'
-    parts = [line for number in range(1, len(tree.bodies) + 1) for line in write(number)]
+    parts = [line for number, link in enumerate(list_links(tree), 1) for line in write(number, link)]
     return "\n".join([f'<sdf version="1.10"><model name="{tree.name}">', base, tie, *parts, "</model></sdf>"]) + "\n"
 
 

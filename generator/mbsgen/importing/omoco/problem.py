@@ -13,7 +13,7 @@ from mbsgen.documents import abbreviate, nearest
 from mbsgen.importing.findings import Findings
 from mbsgen.importing.markup import Element
 from mbsgen.importing.omoco.muscles import write_muscles
-from mbsgen.importing.omoco.study import FREE, Range, Study, Variable, match_pattern
+from mbsgen.importing.omoco.study import FREE, Range, Study, Variable, find_text, list_within, match_pattern
 from mbsgen.importing.omoco.turning import warn_of_bounds, warn_of_goal
 
 _ALL = ("enabled", "weight", "mode", "divide_by_duration", "MocoConstraintInfo", "scale_factors")
@@ -55,11 +55,11 @@ class Goals:
             "MocoPeriodicityGoal": (self._add_period, ("state_pairs", "control_pairs")),
         }
         for goal in self._study.goals:
-            if _find_text(goal, "enabled").lower() == "false":
+            if find_text(goal, "enabled").lower() == "false":
                 self._findings.tell(goal, "it is switched off in the file: left out")
             elif goal.tag not in readers:
                 self._findings.warn(goal, "this goal has no counterpart that is written here: left out")
-            elif _find_text(goal, "mode") == "endpoint_constraint" and goal.tag != "MocoPeriodicityGoal":
+            elif find_text(goal, "mode") == "endpoint_constraint" and goal.tag != "MocoPeriodicityGoal":
                 self._findings.warn(goal, "a goal as a constraint is not read: left out")
             else:
                 reader, own = readers[goal.tag]
@@ -102,7 +102,7 @@ class Goals:
         self.parts.terminal.append(f"{{expression: {_quote(f'T + {begin!r}' if begin else 'T')}, weight: {own!r}}}")
 
     def _add_place(self, goal: Element, weight: float) -> None:
-        name = self._find_sensor(goal, _find_text(goal, "point_name").rsplit("/", 1)[-1])
+        name = self._find_sensor(goal, find_text(goal, "point_name").rsplit("/", 1)[-1])
         child = goal.first("reference_location")
         place: tuple[float, ...] = (0.0, 0.0, 0.0)
         if child is not None:
@@ -137,7 +137,7 @@ class Goals:
     def _track_markers(self, goal: Element, weight: float) -> None:
         held = next((x for x in goal.children if x.tag in ("markers_reference", "MarkersReference")), None)
         inner = None if held is None else (held if held.first("marker_file") else held.first("MarkersReference"))
-        file = "" if inner is None else _find_text(inner, "marker_file")
+        file = "" if inner is None else find_text(inner, "marker_file")
         if inner is None or not file:
             self._findings.warn(goal, "it names no file of markers: left out")
             return
@@ -145,7 +145,7 @@ class Goals:
         given = next((x for x in inner.children if x.attributes.get("name") == "marker_weights"), None)
         weights = {
             x.attributes.get("name", ""): self._number(x, "weight", default)
-            for x in (() if given is None else _list_within(given))
+            for x in (() if given is None else list_within(given))
         }
         sensors = [x.name for x in self._study.imported.model.frames if x.is_sensor]
         labels = self._study.imported.labels
@@ -165,14 +165,14 @@ class Goals:
         self.parts.track.append(f"{{reference: {reference}, markers: {{{shown}}}, weight: {weight!r}{more}}}")
 
     def _add_period(self, goal: Element, _: float) -> None:
-        if _find_text(goal, "mode") == "cost":
+        if find_text(goal, "mode") == "cost":
             self._findings.warn(goal, "a period as a cost is not read: left out")
             return
         for kind, known in (("state_pairs", self._states), ("control_pairs", self._controls)):
             paths = {x.path: x for x in known}
-            for pair in _list_within(goal.first(kind)):
-                first = _find_text(pair, "initial_variable")
-                last = _find_text(pair, "final_variable") or first
+            for pair in list_within(goal.first(kind)):
+                first = find_text(pair, "initial_variable")
+                last = find_text(pair, "final_variable") or first
                 missing = [x for x in (first, last) if x not in paths]
                 for path in missing:
                     meant = nearest(path, list(paths))
@@ -208,7 +208,7 @@ class Goals:
 
     def _choose(self, goal: Element) -> list[Variable]:
         """Return the states that the pattern of a goal matches, if it has one."""
-        text = _find_text(goal, "pattern")
+        text = find_text(goal, "pattern")
         if not text:
             return self._states
         found = match_pattern(text, [x.path for x in self._states])
@@ -224,7 +224,7 @@ class Goals:
         paths, weights = [x.path for x in known], dict[str, float]()
         for key in (pattern, name):
             held = next((x for x in goal.children if key and (x.attributes.get("name") == key or x.tag == key)), None)
-            for given in _list_within(held):
+            for given in list_within(held):
                 path, weight = given.attributes.get("name", ""), self._number(given, "weight", 1.0)
                 matched = match_pattern(path, paths) if key == pattern else [path]
                 for own in matched or []:
@@ -240,11 +240,11 @@ class Goals:
         """Return the file of a table, and its columns; None with a warning."""
         held = next((x for x in goal.children if x.attributes.get("name") == name or x.tag == name), None)
         inner = held.first("TableProcessor") if held is not None and held.first("filepath") is None else held
-        file = "" if inner is None else _find_text(inner, "filepath")
+        file = "" if inner is None else find_text(inner, "filepath")
         if inner is None or not file:
             self._findings.warn(goal, "it names no table: left out")
             return None
-        for operator in _list_within(inner.first("operators")):
+        for operator in list_within(inner.first("operators")):
             self._findings.warn(operator, "this change of the table is not made: change the file")
         path = (self._study.folder / file).resolve()
         if not path.is_relative_to(self._study.folder.resolve()) or not path.is_file():
@@ -387,20 +387,8 @@ def _list_columns(path: Path) -> list[str]:
     return []
 
 
-def _list_within(element: Element | None) -> tuple[Element, ...]:
-    if element is None:
-        return ()
-    held = element.first("objects")
-    return held.children if held is not None else element.children
-
-
-def _find_text(element: Element, tag: str) -> str:
-    child = element.first(tag)
-    return "" if child is None else child.text
-
-
 def _is_true(element: Element, tag: str) -> bool:
-    return _find_text(element, tag).lower() in ("true", "1")
+    return find_text(element, tag).lower() in ("true", "1")
 
 
 def _strip(name: str) -> str:

@@ -173,7 +173,7 @@ class _File:
             self._findings.fault(self._root, f"it holds <{inner[:40]}>, and no <MocoStudy>", "give a study's file")
             raise self._findings.refuse()
         problem = study.first("MocoProblem") or study.first("problem")
-        phases = [] if problem is None else [x for x in _list_within(problem) if x.tag == "MocoPhase"]
+        phases = [] if problem is None else [x for x in list_within(problem) if x.tag == "MocoPhase"]
         if len(phases) != 1:
             remedy = "give one: others are problems in phases here"
             self._findings.fault(problem or study, f"it has {len(phases)} phases", remedy)
@@ -183,7 +183,7 @@ class _File:
         self._name_rest(study, ("MocoProblem", "problem", *((solver.tag,) if solver else ())), _IDLE["MocoStudy"])
         named = [x.tag for x in phase.children if "name" in x.attributes]
         self._name_rest(phase, (*_PHASE, *named), _IDLE["MocoPhase"])
-        goals = tuple(_list_within(phase.first("goals")))
+        goals = tuple(list_within(phase.first("goals")))
         root = self._find_model(phase)
         marks = [x.attributes.get("name", "") for x in root.walk() if x.tag == "Marker"]
         imported = read_osim(root, replace(self._choices, sensors=tuple(marks)), Findings(root.file))
@@ -208,7 +208,7 @@ class _File:
         if processor is None:
             self._findings.fault(phase, "no model", "give a ModelProcessor with a model, or the file of one")
             raise self._findings.refuse()
-        for operator in _list_within(processor.first("operators")):
+        for operator in list_within(processor.first("operators")):
             if operator.tag == _RIGID:
                 self._choices = replace(self._choices, rigid_tendons=True)
             elif operator.tag == _DEGROOTE:
@@ -238,10 +238,10 @@ class _File:
         states, controls = ("value", "speed", "activation", "tendon"), ("control", "excitation")
         for kinds, tag in ((states, "state"), (controls, "control")):
             own = [path for path, x in known.items() if x.kind in kinds]
-            for info in _list_within(phase.first(f"{tag}_infos_pattern")):
+            for info in list_within(phase.first(f"{tag}_infos_pattern")):
                 for path in self._match(info, own):
                     known[path] = self._bound(known[path], info)
-            for info in _list_within(phase.first(f"{tag}_infos")):
+            for info in list_within(phase.first(f"{tag}_infos")):
                 path = info.attributes.get("name", "")
                 if path in own:
                     known[path] = self._bound(known[path], info)
@@ -292,7 +292,7 @@ class _File:
                 yield self._make_control(element, path, coordinate)
             elif element.tag in MUSCLES:
                 signal = spell_signal(name)
-                is_quick = _find_text(element, "ignore_activation_dynamics").lower() == "true"
+                is_quick = find_text(element, "ignore_activation_dynamics").lower() == "true"
                 lags.append(
                     (-1.0, -1.0)
                     if is_quick
@@ -366,7 +366,7 @@ class _File:
         if solver is None:
             return grid
         self._name_rest(solver, _SOLVER, _IDLE["solver"])
-        scheme = _find_text(solver, "transcription_scheme") or "hermite-simpson"
+        scheme = find_text(solver, "transcription_scheme") or "hermite-simpson"
         points = _POINTS.fullmatch(scheme)
         if scheme in _SCHEMES:
             name, degree = _SCHEMES[scheme]
@@ -379,14 +379,14 @@ class _File:
         count = self._number(solver, "num_mesh_intervals", INTERVALS)
         if count != int(count) or count < 1:
             self._findings.fault(solver, f"{count:g} intervals", "give a whole number of 1 or more")
-        mesh = [float(x) for x in _find_text(solver, "mesh").split() if _is_number(x)]
+        mesh = [float(x) for x in find_text(solver, "mesh").split() if _is_number(x)]
         intervals: tuple[float, ...] | int = int(count)
         if mesh:
             steps = [b - a for a, b in itertools.pairwise(mesh)]
             if len(mesh) < 2 or min(steps) <= 0:
                 self._findings.fault(solver, "its mesh does not increase", "give numbers from 0 to 1, in order")
             intervals = tuple(steps)
-        is_linear = _find_text(solver, "interpolate_control_mesh_interior_points").lower() != "false"
+        is_linear = find_text(solver, "interpolate_control_mesh_interior_points").lower() != "false"
         tolerance = self._number(solver, "optim_convergence_tolerance", -1.0)
         most = self._number(solver, "optim_max_iterations", -1.0)
         return replace(
@@ -467,14 +467,16 @@ def _find_bounds(phase: Element, name: str, tag: str) -> Element | None:
     return None if part is None else part.first("bounds")
 
 
-def _list_within(element: Element | None) -> tuple[Element, ...]:
+def list_within(element: Element | None) -> tuple[Element, ...]:
+    """Return the objects of a set, whose element may hold them in another one."""
     if element is None:
         return ()
     held = element.first("objects")
     return held.children if held is not None else element.children
 
 
-def _find_text(element: Element, tag: str) -> str:
+def find_text(element: Element, tag: str) -> str:
+    """Return the text of a part, or none."""
     child = element.first(tag)
     return "" if child is None else child.text
 

@@ -152,12 +152,48 @@ class Placed:
         return found
 
 
-class NumpyProgram:
-    """The functions of a program whose variables a method sees all."""
+class PlacedProgram:
+    """A program whose variables a method sees all, with its blocks at one point or at some points at once."""
+
+    def __init__(self, program: Program, plants: Sequence[Plant], count: int = 1) -> None:
+        """Bind the kernels of a program for `count` points."""
+        self.program, self.count, self._bind = program, count, [bind(kernels) for kernels in plants]
+
+    @cached_property
+    def _squares(self) -> list[tuple[int, Matrix]]:
+        """The quadratic terms of the cost, with their numbers: expressions have none."""
+        return [(k, H) for k, H in enumerate(self.program.H) if H.nnz]
+
+    @cached_property
+    def _blocks(self) -> list[Placed]:
+        return [self._place(block) for block in self.program.blocks]
+
+    @cached_property
+    def _costs(self) -> list[Placed]:
+        return [self._place(block) for block in self.program.costs]
+
+    def _place(self, block: Block) -> Placed:
+        evaluation = self._bind[block.plant](block.function, block.places * self.count)
+        return Placed(prepare(block, self.program.variables), evaluation)
+
+    @cached_property
+    def _linear(self) -> Array:
+        """The entries of A, as its scatter orders them."""
+        return np.asarray(self.program.A.tocoo().data)
+
+    def _list_slopes(self) -> list[Scatter]:
+        return [scatter_matrix(self.program.A), *(s for block in self._blocks for s in block.jacobian_scatters)]
+
+    def _list_cost_slopes(self) -> list[Scatter]:
+        return [s for block in self._costs for s in block.jacobian_scatters]
+
+
+class NumpyProgram(PlacedProgram):
+    """The functions of a program at one point."""
 
     def __init__(self, program: Program, plant: Plant, others: tuple[Plant, ...] = ()) -> None:
-        """Take a program and its kernels."""
-        self.program, self._bind = program, [bind(kernels) for kernels in (plant, *others)]
+        """Take a program and its kernels; `others` are plants beside plant 0."""
+        super().__init__(program, (plant, *others))
 
     def complete(self, x: Array) -> Array:
         """Return x: nothing is condensed."""
@@ -215,23 +251,7 @@ class NumpyProgram:
         values += [v for block in self._costs for v in block.hessian(x, p, weights)]
         return self._sum(self._curvatures, values)
 
-    @cached_property
-    def _squares(self) -> list[tuple[int, Matrix]]:
-        """Return the quadratic terms of the cost, with their numbers: expressions have none."""
-        return [(k, H) for k, H in enumerate(self.program.H) if H.nnz]
-
     # --- blocks ---
-
-    @cached_property
-    def _blocks(self) -> list[Placed]:
-        return [self._place(block) for block in self.program.blocks]
-
-    @cached_property
-    def _costs(self) -> list[Placed]:
-        return [self._place(block) for block in self.program.costs]
-
-    def _place(self, block: Block) -> Placed:
-        return Placed(prepare(block, self.program.variables), self._bind[block.plant](block.function, block.places))
 
     def _put(self, blocks: Sequence[Placed], x: Array, p: Array, size: int) -> Array:
         """Scale the results of blocks, and sum them into their rows."""
@@ -245,19 +265,12 @@ class NumpyProgram:
     # --- matrices ---
 
     @cached_property
-    def _linear(self) -> Array:
-        """The entries of A, as its scatter orders them."""
-        return np.asarray(self.program.A.tocoo().data)
-
-    @cached_property
     def _slopes(self) -> _Sum:
-        scatters = [scatter_matrix(self.program.A), *(s for block in self._blocks for s in block.jacobian_scatters)]
-        return _Sum((self.program.constraints, self.program.variables), scatters)
+        return _Sum((self.program.constraints, self.program.variables), self._list_slopes())
 
     @cached_property
     def _cost_slopes(self) -> _Sum:
-        scatters = [s for block in self._costs for s in block.jacobian_scatters]
-        return _Sum((len(self.program.H), self.program.variables), scatters)
+        return _Sum((len(self.program.H), self.program.variables), self._list_cost_slopes())
 
     @cached_property
     def _curvatures(self) -> _Sum:

@@ -12,12 +12,11 @@ from functools import cached_property
 import numpy as np
 from scipy import sparse
 
-from mbsrun.ocp.evaluation.backends.assembly import Assembled, Scatter, assemble, prepare, scatter_matrix
-from mbsrun.ocp.evaluation.backends.evaluations import bind
-from mbsrun.ocp.evaluation.backends.numpy import Placed
+from mbsrun.ocp.evaluation.backends.assembly import Assembled, Scatter, assemble
+from mbsrun.ocp.evaluation.backends.numpy import Placed, PlacedProgram
 from mbsrun.ocp.evaluation.backends.prepared import Prepared
 from mbsrun.ocp.ground.functions import Array, Indices
-from mbsrun.ocp.ground.program import Block, Matrix
+from mbsrun.ocp.ground.program import Matrix
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,13 +29,12 @@ class Values:
     slopes: Array  # the nonzeros of the Jacobian, in the order of its pattern
 
 
-class StackedProgram:
+class StackedProgram(PlacedProgram):
     """The functions of a program without condensed variables, at a number of points."""
 
     def __init__(self, program: Prepared, count: int) -> None:
         """Bind the kernels of a program for `count` points."""
-        self.program, self.count = program.data, count
-        self._bind = [bind(plant) for plant in (program.plant, *program.others)]
+        super().__init__(program.data, (program.plant, *program.others), count)
 
     def evaluate(self, x: Array, p: Array) -> Values:
         """Evaluate all functions at points x with parameters p; numbers are not finite where a kernel fails."""
@@ -61,22 +59,6 @@ class StackedProgram:
     def pattern(self) -> Matrix:
         """Return the Jacobian with 1 at its entries, as its nonzeros are ordered."""
         return self._slopes.pattern
-
-    @property
-    def _squares(self) -> list[tuple[int, Matrix]]:
-        return [(k, H) for k, H in enumerate(self.program.H) if H.nnz]
-
-    @cached_property
-    def _blocks(self) -> list[Placed]:
-        return [self._place(block) for block in self.program.blocks]
-
-    @cached_property
-    def _costs(self) -> list[Placed]:
-        return [self._place(block) for block in self.program.costs]
-
-    def _place(self, block: Block) -> Placed:
-        places = block.places * self.count
-        return Placed(prepare(block, self.program.variables), self._bind[block.plant](block.function, places))
 
     def _differentiate(self, placed: Placed, x: Array, p: Array) -> tuple[Array, list[Array]]:
         """Return the results of a block, and the values of its slopes, (cases, size) each."""
@@ -111,18 +93,12 @@ class StackedProgram:
         return total
 
     @cached_property
-    def _linear(self) -> Array:
-        return np.asarray(self.program.A.tocoo().data)
-
-    @cached_property
     def _slopes(self) -> _Sums:
-        scatters = [scatter_matrix(self.program.A), *(s for block in self._blocks for s in block.jacobian_scatters)]
-        return _Sums((self.program.constraints, self.program.variables), scatters)
+        return _Sums((self.program.constraints, self.program.variables), self._list_slopes())
 
     @cached_property
     def _cost_slopes(self) -> _Sums:
-        scatters = [s for block in self._costs for s in block.jacobian_scatters]
-        return _Sums((len(self.program.H), self.program.variables), scatters)
+        return _Sums((len(self.program.H), self.program.variables), self._list_cost_slopes())
 
     @cached_property
     def _cost_columns(self) -> tuple[Indices, sparse.csr_array]:
@@ -137,25 +113,22 @@ class _Sums:
 
     def __init__(self, shape: tuple[int, int], scatters: Sequence[Scatter]) -> None:
         self._shape, self._scatters = shape, scatters
+        self._found: tuple[Assembled, sparse.csr_array] | None = None
 
-    @cached_property
+    @property
     def assembled(self) -> Assembled:
-        """Return the places of the nonzeros, after values were added."""
-        return self._assemble([])
-
-    def _assemble(self, sizes: Sequence[int]) -> Assembled:
-        found = assemble(self._shape, self._scatters, sizes)
-        self.assembled = found
-        return found
+        """Return the places of the nonzeros."""
+        assert self._found is not None, "values were added before"
+        return self._found[0]
 
     def add(self, values: Sequence[Array]) -> Array:
         """Return the nonzeros, (cases, nonzeros), in the order of the pattern."""
-        if "_matrix" not in self.__dict__:
-            own = self._assemble([part.shape[1] for part in values])
-            place, width = (own.coefficient, (own.nonzero, own.source)), sum(part.shape[1] for part in values)
-            self._matrix = sparse.csr_array(place, shape=(own.row.size, width))
         joined = np.concatenate(values, axis=1)
-        return np.ascontiguousarray(np.asarray(self._matrix @ joined.T).T)
+        if self._found is None:
+            own = assemble(self._shape, self._scatters, [part.shape[1] for part in values])
+            place = own.coefficient, (own.nonzero, own.source)
+            self._found = own, sparse.csr_array(place, shape=(own.row.size, joined.shape[1]))
+        return np.ascontiguousarray(np.asarray(self._found[1] @ joined.T).T)
 
     @cached_property
     def pattern(self) -> Matrix:
