@@ -21,7 +21,9 @@ OPTIONS = (
         help="Fix URDF's root link, or let it float.",
     ),
     option("--sensor", "sensors", multiple=True, metavar="NAME", help="A link, body or site to become a frame."),
-    option("--open", "opened", multiple=True, metavar="NAME", help="A body to get a sensor and an open wrench."),
+    option(
+        "--open", "opened", multiple=True, metavar="NAME", help="Give a body a sensor, and a wrench that is an input."
+    ),
     option("--rigid-tendons", is_flag=True, help="Give muscles rigid tendons, whatever the file says."),
     option("--degroote", is_flag=True, help="Give muscles the curves of De Groote, whatever the file says."),
     option("--lock", "locks", multiple=True, metavar="JOINT=VALUE", help="Hold a joint at a coordinate."),

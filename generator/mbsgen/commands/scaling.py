@@ -17,7 +17,7 @@ from mbsgen.scaling import PERIOD, find_crossing, grow
 def scaling_command(largest: int) -> None:
     """Count the operations of chains of growing length.
 
-    Uniform serial chains, axes z, y, x in turn, full inertias, numbers folded. SEMI and EXP1 are counted to 50 bodies.
+    The links of a chain are equal, and their axes are z, y, x in turn. SEMI and EXP1 are counted up to 50 links.
     """
     sizes = range(PERIOD, largest + 1, PERIOD)
     found = {}

@@ -83,7 +83,13 @@ Exit codes
 @click.option("--current", "currents", multiple=True, metavar="NAME=COLUMN", help="The column of a motor's current.")
 @click.option("--motor", "motors", multiple=True, metavar="NAME=K", help="The torque of a unit of current [N m/A].")
 @click.option("--unmeasured", multiple=True, metavar="NAME", help="An actuated joint whose torque is not recorded.")
-@click.option("--wrench", "wrenches", multiple=True, metavar="NAME=FORCE[,POINT[,MOMENT]]", help="A wrench's columns.")
+@click.option(
+    "--wrench",
+    "wrenches",
+    multiple=True,
+    metavar="NAME=FORCE[,POINT[,MOMENT]]",
+    help="The recorded columns of an external force.",
+)
 @click.option(
     "--torque-noise",
     "deviations",
@@ -100,7 +106,7 @@ Exit codes
     help="The speed that smooths dry friction [rad/s]; by default 0.02.",
 )
 @click.option("--prior", type=NumberType(), metavar="W", help="Relative deviation of the model's inertias.")
-@click.option("--unphysical", is_flag=True, help="Admit bodies that nobody can build.")
+@click.option("--unphysical", is_flag=True, help="Permit masses and inertias that no body can have.")
 @click.option(
     "--noise", type=NumberType(), metavar="S", help="The standard deviation of recorded coordinates [rad, m]."
 )

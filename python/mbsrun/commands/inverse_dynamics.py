@@ -64,7 +64,11 @@ Exit codes
 
 @click.command("inverse-dynamics", cls=ModelCommand, help=HELP)
 @accept_motion
-@click.option("--without-muscles", is_flag=True, help="The forces that muscles and other actuators give together.")
+@click.option(
+    "--without-muscles",
+    is_flag=True,
+    help="Compute the sum of the forces of muscles and other actuators, without activations.",
+)
 @choose_format
 @accept_robots
 @gather_motion

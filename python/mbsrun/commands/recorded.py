@@ -51,7 +51,11 @@ _MOTION = (
         "--forces", "other", type=click.Path(path_type=Path), metavar="FILE", help="A recording of the forces."
     ),
     click.option(
-        "--wrench", "wrenches", multiple=True, metavar="NAME=FORCE[,POINT[,MOMENT]]", help="The columns of a wrench."
+        "--wrench",
+        "wrenches",
+        multiple=True,
+        metavar="NAME=FORCE[,POINT[,MOMENT]]",
+        help="The recorded columns of an external force.",
     ),
     click.option("--noise", type=NumberType(), metavar="S", help="The standard deviation of the samples [rad, m]."),
     click.option(

@@ -156,7 +156,7 @@ SECTIONS = {
 @click.option(
     "--fallback/--no-fallback",
     default=None,
-    help="Whether IPOPT is asked where mbs finds no solution; by default yes, unless a method is named.",
+    help="Whether IPOPT tries where mbs finds no solution; by default yes, unless a method is named.",
 )
 @click.option(
     "--threads", type=click.IntRange(1, MAX_THREADS), help="The number of threads of a solve by mbs; by default 1."

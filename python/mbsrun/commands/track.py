@@ -148,7 +148,7 @@ SECTIONS = {
     "--barrier",
     type=click.FloatRange(0, min_open=True),
     metavar="RATIO",
-    help="With --steps: their barrier parameter, beside the cost of the controller's own optimum; by default "
+    help="With --steps: their barrier parameter, over the cost of the optimum that the controller stores; by default "
     f"{BARRIER:g}. Larger ones are steadier after blows, and keep farther from bounds.",
 )
 @choose_format
