@@ -35,6 +35,9 @@ k2 = 1e5. The last interval is at rest, so its limits hold where limits of the e
 ([rest.py](../proofs/rest.py)). The limits of the rocket's mass are dropped too: it only falls, from a given start to a
 given end ([monotone.py](../proofs/monotone.py)).
 
+The car switches from full acceleration to full braking at a node of its grid, so all of its controls are at bounds: one
+bound more than its equations leave free. Then multipliers are not unique, and the theorem does not apply.
+
 - unknowns: variables that no bound holds, and multipliers of rows
 - radius: of the ball, in each unknown z by max(1, |z|)
 - multiplier: the least of a held bound; costs are divided by their largest weight
