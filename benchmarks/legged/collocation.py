@@ -12,8 +12,9 @@ replaces the last, between both ends of the interval. Variables and rows lie int
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import Any
 
 import casadi as ca
@@ -142,8 +143,15 @@ class Graph:
             self._rub(friction, impulse, len(axes))
         return after
 
-    def solve(self, *, expand: bool = True, tolerance: float = 1e-8, limit: float = 1e6) -> Answer:
-        """Solve the program by IPOPT with MUMPS; expanded to SX, or as the MX graph stands; within a time [s]."""
+    def solve(
+        self,
+        *,
+        expand: bool = True,
+        tolerance: float = 1e-8,
+        limit: float = 1e6,
+        settings: Mapping[str, Any] = MappingProxyType({}),
+    ) -> Answer:
+        """Solve by IPOPT with some of its options; expanded to SX, or as the MX graph stands; within a time [s]."""
         options: dict[str, Any] = {
             "ipopt.print_level": 0,
             "print_time": False,
@@ -156,7 +164,9 @@ class Graph:
             "solver",
             "ipopt",
             program,
-            options | {"expand": expand, "ipopt.tol": tolerance, "ipopt.max_cpu_time": limit},
+            options
+            | {f"ipopt.{name}": value for name, value in settings.items()}
+            | {"expand": expand, "ipopt.tol": tolerance, "ipopt.max_cpu_time": limit},
         )
         built = time.process_time() - begin
         lower, upper, guess = (np.concatenate(x) for x in zip(*self.bounds, strict=True))

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 
 from rich.table import Table
 
+from benchmarks.classics.peers import SETTINGS
 from benchmarks.legged.measuring import LIMIT, Effort, Row
 
 COLUMNS = (
@@ -23,6 +24,8 @@ COLUMNS = (
     "ratio",
     "ratio, graph",
     "of an iteration",
+    "expanded by",
+    "graph by",
 )
 CHECKS = ("problem", "momentum at impacts", "slip, m", "defect of an interval")
 _TEXT = """\
@@ -36,7 +39,8 @@ Measured on: {machine}.
 
 Times are of the processor, of the quickest solve ({rounds} of each), without what is done once: reading, code,
 derivatives, tables. "expanded" is one SX program; "graph" is MX, as `Opti` makes it. Ratios are of their times to ours,
-and last of the quicker one's time of an iteration to ours. Plain programs are stopped after {limit:.0f} s.
+and then of the quicker one's time of an iteration to ours. Plain programs are tried with each of {settings},
+and stopped after {limit:.0f} s; the last columns name the quickest options that solve them, or else the first.
 
 {table}
 The checks use the recursion as well. The balance of momentum is M (v+ - v-) - J' L, relative to the largest impulse.
@@ -65,6 +69,8 @@ def lay_out(rows: Sequence[Row]) -> Iterator[tuple[str, ...]]:
             _write_ratio(row.expanded, ours),
             _write_ratio(row.graph, ours),
             f"{min(row.expanded.each, row.graph.each) / ours.each:.1f}",
+            row.expanded.setting,
+            row.graph.setting,
         )
 
 
@@ -95,7 +101,10 @@ def make_tables(rows: Sequence[Row]) -> Iterator[Table]:
 def write_page(rows: Sequence[Row], machine: str, rounds: int) -> str:
     """Write the page."""
     tables = [_write(*part) for part in ((COLUMNS, lay_out(rows)), (CHECKS, lay_out_checks(rows)))]
-    return _TEXT.format(machine=machine, rounds=rounds, limit=LIMIT, table=tables[0], checks=tables[1])
+    settings = "; ".join(SETTINGS)
+    return _TEXT.format(
+        machine=machine, rounds=rounds, limit=LIMIT, settings=settings, table=tables[0], checks=tables[1]
+    )
 
 
 def _write(columns: Sequence[str], lines: Iterator[tuple[str, ...]]) -> str:

@@ -1,8 +1,9 @@
 """OpenSim Moco's solutions: a script for a Python with OpenSim, whose libraries no process can share with ours.
 
-It reads JSON from stdin: `case`, a key of CASES; `tolerance`; `iterations`, the most; and `guess`: null for Moco's own,
-or a motion on the same grid (`time`, and values by the paths of `states`, `controls`, `derivatives`). It prints JSON:
-`cost`, `status`, `iterations`, and the `seconds` and `processor` seconds of the solve.
+It reads JSON from stdin: `case`, a key of CASES; `tolerance`; `iterations`, the most; `hessian` and `differences`,
+options of Moco; and `guess`: null for Moco's own, or a motion on the same grid (`time`, and values by the paths of
+`states`, `controls`, `derivatives`). It prints JSON: `cost`, `status`, `iterations`, and the `seconds` and `processor`
+seconds of the solve.
 """
 
 from __future__ import annotations
@@ -144,6 +145,8 @@ def solve(asked: dict[str, Any]) -> dict[str, Any]:
         solver.set_transcription_scheme("legendre-gauss-radau-3")
         solver.set_interpolate_control_mesh_interior_points(False)
         solver.set_multibody_dynamics_mode("implicit")
+    solver.set_optim_hessian_approximation(asked["hessian"])
+    solver.set_optim_finite_difference_scheme(asked["differences"])
     solver.set_parallel(0)
     solver.set_verbosity(0)
     solver.set_optim_convergence_tolerance(asked["tolerance"])

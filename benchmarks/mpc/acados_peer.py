@@ -56,9 +56,9 @@ def list_settings(intervals: int) -> Iterator[Settings]:
     """List the grid of options that is searched; acados' defaults are the first."""
     yield Settings()
     modes, blocks = ("SPEED", "BALANCE", "ROBUST"), (0, intervals // 2, intervals // 4)  # SPEED_ABS ends nowhere
-    tolerances, multipliers = ((1e-6, 1.0), (1e-7, 1.0), (1e-8, 1.0)), ("kept", "zero")
-    for mode, riccati, parts, warm, (tolerance, precision), kept in product(
-        modes, (1, 0), blocks, (0, 1, 2), tolerances, multipliers
+    tolerances, precisions, multipliers = (1e-6, 1e-7, 1e-8), (1.0, 0.1), ("kept", "zero")
+    for mode, riccati, parts, warm, tolerance, precision, kept in product(
+        modes, (1, 0), blocks, (0, 1, 2), tolerances, precisions, multipliers
     ):
         found = Settings(mode, riccati, parts, warm, tolerance, precision, kept)
         if found != Settings():
@@ -68,8 +68,9 @@ def list_settings(intervals: int) -> Iterator[Settings]:
 def list_steps(intervals: int) -> Iterator[Settings]:
     """List the grid of options that is searched for steps in real time."""
     blocks = (0, intervals // 2, intervals // 4, intervals // 10)
-    for mode, parts, warm, tolerance in product(("SPEED", "BALANCE"), blocks, (0, 1, 2), (1e-4, 1e-6)):
-        yield Settings(mode, 1, parts, warm, tolerance, 1.0, "kept", "SQP_RTI")
+    tolerances = (1e-3, 1e-4, 1e-6)
+    for mode, riccati, parts, warm, tolerance in product(("SPEED", "BALANCE"), (1, 0), blocks, (0, 1, 2), tolerances):
+        yield Settings(mode, riccati, parts, warm, tolerance, 1.0, "kept", "SQP_RTI")
 
 
 def is_installed() -> bool:

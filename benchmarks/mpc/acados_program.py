@@ -173,14 +173,14 @@ class Session:
         for k in range(request["steps"]):
             if k and request["settings"]["multipliers"] == "kept":
                 self._shift(solver)
-            begin = time.perf_counter()
             solver.options_set("rti_phase", PREPARATION)
+            begin = time.perf_counter()
             prepared = solver.solve()
             prepare = time.perf_counter() - begin
             for bound in ("lbx", "ubx"):
                 solver.set(0, bound, x)
-            begin = time.perf_counter()
             solver.options_set("rti_phase", FEEDBACK)
+            begin = time.perf_counter()
             status = solver.solve()
             times.append((prepare, time.perf_counter() - begin))
             if prepared or status:

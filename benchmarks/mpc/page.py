@@ -71,8 +71,8 @@ STEPS = """\
 A step has two parts: preparation before the state is measured, and feedback after it. Times are medians in µs, and
 beside them the 99.9th percentile by the median. A loop that does nothing for as long as feedback takes shows how late
 the machine itself is. The project's step is one step of Newton's method for a barrier parameter that stays. acados
-solves a quadratic program to the end in its feedback (its real-time iteration), and its plan is moved ahead outside of
-these times. So the way's cost is printed, too.
+solves a quadratic program to the end in its feedback (its real-time iteration); its plan is moved ahead, its phase is
+set and its state is given outside of these times. So the way's cost is printed, too.
 """
 OPTIONS = """\
 For each solver and start: how many options were tried, how many of them were accurate, the time of the solver's

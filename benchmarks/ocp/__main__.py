@@ -18,7 +18,7 @@ import numpy as np
 from rich.console import Console
 
 from benchmarks.compilation import describe_machine, find_cache
-from benchmarks.ocp.peer import Effort, Peer, Points, Shelf, list_settings, processor_seconds, write_dynamics
+from benchmarks.ocp.peer import TUNED, Effort, Peer, Points, Shelf, list_settings, processor_seconds, write_dynamics
 from benchmarks.ocp.rows import LONG, OURS, POINTS, STAGES, Figures, Measured, Row, show, write_figures
 from benchmarks.study import DisagreementError
 from benchmarks.symbolic import read_tape
@@ -122,7 +122,8 @@ def make_peers(problem: Problem, shelf: Shelf | None) -> Iterator[tuple[str, Pee
         for name in settings:
             yield f"CasADi, interpreted, {name}", Peer(problem, short, place, settings[name])
     else:
-        yield "CasADi, compiled, tuned", Peer(problem, short, place, settings["tuned"], shelf)
+        for name in TUNED:
+            yield f"CasADi, compiled, {name}", Peer(problem, short, place, settings[name], shelf)
 
 
 def list_points(problem: Problem, plant: Plant, shelf: Shelf) -> Iterator[tuple[str, Points]]:

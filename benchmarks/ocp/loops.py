@@ -29,7 +29,7 @@ from rich.table import Table
 
 from benchmarks.compilation import describe_machine, find_cache
 from benchmarks.newton_euler import write_functions
-from benchmarks.ocp.peer import Effort, Settings, Shelf, compile_solver, list_options, list_settings
+from benchmarks.ocp.peer import TUNED, Effort, Settings, Shelf, compile_solver, list_options, list_settings
 from benchmarks.ocp.rows import OURS, STAGES
 from benchmarks.study import DisagreementError
 from mbsgen.model.tree import Tree
@@ -266,8 +266,9 @@ def make_ways(mechanism: Mechanism, shelf: Shelf | None) -> Mapping[str, Callabl
         peer = LoopPeer(problem, mechanism, residual, setting, None)
         ways[f"CasADi, interpreted, {name}"] = partial(peer.solve, guess, multipliers)
     if shelf is not None:
-        peer = LoopPeer(problem, mechanism, residual, settings["tuned"], shelf)
-        ways["CasADi, compiled, tuned"] = partial(peer.solve, guess, multipliers)
+        for name in TUNED:
+            peer = LoopPeer(problem, mechanism, residual, settings[name], shelf)
+            ways[f"CasADi, compiled, {name}"] = partial(peer.solve, guess, multipliers)
     return ways
 
 

@@ -239,6 +239,9 @@ def write_dynamics(tree: Tree) -> dict[str, ca.Function]:
     }
 
 
+TUNED = ("tuned", "tuned, adaptive")  # settings of compiled peers
+
+
 @dataclass(frozen=True)
 class Settings:
     """Options of CasADi and IPOPT."""
@@ -260,8 +263,13 @@ def list_options(settings: Settings, shelf: Shelf | None) -> dict[str, Any]:
 
 
 def list_settings(problem: Problem) -> dict[str, Settings]:
-    """Return settings by name: the defaults, and the fastest that were found."""
+    """Return settings by name: the defaults, the fastest that were found, and these with an adaptive barrier."""
     scale = 1 / max(problem.cost.inputs, problem.cost.input_rates)
     mumps = {"mumps_pivot_order": 0, "mumps_scaling": 0, "mumps_permuting_scaling": 0}
     tuned = {"nlp_scaling_method": "none", "obj_scaling_factor": scale, **mumps}
-    return {"defaults": Settings({}, False), "tuned": Settings(tuned, True)}
+    adaptive = {**tuned, "mu_strategy": "adaptive"}
+    return {
+        "defaults": Settings({}, False),
+        "tuned": Settings(tuned, True),
+        "tuned, adaptive": Settings(adaptive, True),
+    }

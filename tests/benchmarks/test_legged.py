@@ -5,13 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+import casadi as ca
 import numpy as np
 import pytest
 
 from benchmarks.legged import biped, carrier, quadruped, walker
 from benchmarks.legged.cases import CASES, FOLDER
 from benchmarks.legged.chains import Mechanism
-from benchmarks.legged.measuring import measure_balance
+from benchmarks.legged.collocation import Answer
+from benchmarks.legged.measuring import SOLVED, choose_setting, measure_balance
 from mbsgen.formulations import impl
 from mbsgen.pipeline import read_tree
 from mbsgen.tape.interpreter import evaluate
@@ -80,3 +82,14 @@ def test_the_walker_starts_its_step_as_others_found_it() -> None:
 
 def test_every_problem_has_its_file() -> None:
     assert sorted(case.file for case in CASES.values()) == sorted(FOLDER.glob("*.ocp.yaml"))
+
+
+def test_the_quickest_setting_that_solves_a_plain_program_counts() -> None:
+    """The quickest of three fails; where all fail, IPOPT's defaults count."""
+
+    def end(status: str, seconds: float) -> Answer:
+        return Answer(status, 1.0, 10, seconds, 0.0, np.zeros(0), ca.MX(), 0)
+
+    tried = {"defaults": end(SOLVED, 3.0), "tuned": end(SOLVED, 2.0), "failed": end("Maximum_CpuTime_Exceeded", 1.0)}
+    assert choose_setting(tried) == "tuned"
+    assert choose_setting({name: end("Infeasible_Problem_Detected", 1.0) for name in tried}) == "defaults"
