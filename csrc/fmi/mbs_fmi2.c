@@ -237,13 +237,13 @@ MBS_FMI_API fmi2Status fmi2SerializedFMUstateSize(fmi2Component instance, fmi2FM
 
 MBS_FMI_API fmi2Status fmi2SerializeFMUstate(fmi2Component instance, fmi2FMUstate state, fmi2Byte bytes[], size_t size)
 {
-    return end(mbs_fmi_write(instance, state, bytes, size));
+    return end(mbs_fmi_write(instance, state, (unsigned char *)bytes, size));
 }
 
 MBS_FMI_API fmi2Status fmi2DeSerializeFMUstate(fmi2Component instance, const fmi2Byte bytes[], size_t size,
                                                fmi2FMUstate *state)
 {
-    return end(mbs_fmi_read(instance, bytes, size, state));
+    return end(mbs_fmi_read(instance, (const unsigned char *)bytes, size, state));
 }
 
 /* --- the rest of the interface --- */

@@ -12,8 +12,9 @@ from pathlib import Path
 
 import pytest
 
+from mbsgen.resources import folder
 from mbsrun.library import find_compiler
-from tests.csrc.stages import STRICT, sources
+from tests.csrc.stages import STRICT
 
 LAWS = sorted((Path(__file__).parent / "laws").glob("*.c"))
 
@@ -25,7 +26,8 @@ def test_decisions_keep_their_laws(path: Path, compiled: Path, tmp_path: Path) -
     No law reads or writes beyond an array.
     """
     others = [str(each) for each in sorted(compiled.parent.glob("*.o")) if each.stem not in {path.stem, "quadratic"}]
-    flags = [*STRICT, "-O0", "-fsanitize=address", f"-I{sources()[0].parent}"]
+    folders = [folder("csrc"), *(folder("csrc") / name for name in ("stages", "program", "timing"))]
+    flags = [*STRICT, "-O0", "-fsanitize=address", *(f"-I{each}" for each in folders)]
     command = [*find_compiler(os.environ).command, *flags, str(path), *others]
     program = tmp_path / path.stem
     subprocess.run([*command, "-Wl,-z,muldefs", "-lm", "-o", str(program)], check=True)
