@@ -21,6 +21,7 @@ from mbsrun.recordings.fitting import (
     second_differences,
     solve_step,
 )
+from mbsrun.recordings.recording import UNITS
 from mbsrun.recordings.splines import PASSES, SplineError, Track, count_gaps, low_pass, stack
 from mbsrun.recordings.tables import read_table
 
@@ -120,6 +121,29 @@ def test_the_column_of_times_is_in_s_or_ms(tmp_path: Path) -> None:
     assert found.values.tolist() == [[1.5], [2.0]]
 
 
+def test_units_are_products_of_their_parts() -> None:
+    """A prefix is a power of ten; a turn of 360 degrees is 2 pi."""
+    parts = {
+        **dict.fromkeys(("s", "m", "rad", "N"), 1.0),
+        **{"ms": 1e-3, "mm": 1e-3, "cm": 1e-2, "kN": 1e3},
+        **dict.fromkeys(("deg", "°"), 2 * np.pi / 360),
+    }
+    plain = {"ms": "s", "mm": "m", "cm": "m", "kN": "N", "deg": "rad", "°": "rad"}
+    for unit, (name, factor) in UNITS.items():
+        top, _, bottom = unit.partition("/")
+        assert bottom in ("", "s", "s^2")
+        assert factor == pytest.approx(np.prod([parts[x] for x in top.split()]), rel=1e-15)
+        told = " ".join(plain.get(x, x) for x in top.split())
+        assert name == (f"{told}/{bottom}" if bottom else told)
+
+
+def test_names_have_up_to_200_characters_and_times_a_billionth_between_them(tmp_path: Path) -> None:
+    assert read(f"t,{'y' * 200}\n0,1\n1,2\n", tmp_path).columns[0].name == "y" * 200
+    assert read("t,y\n0,1\n1.1e-9,2\n", tmp_path).times.tolist() == [0.0, 1.1e-9]
+    with pytest.raises(InputError, match="1e-09 apart at least"):
+        read("t,y\n0,1\n0.9e-9,2\n", tmp_path)
+
+
 # --- fits -----------------------------------------------------------------------------------------------------------
 
 
@@ -209,6 +233,17 @@ def test_a_frame_is_the_weighted_mean_of_its_markers_and_coordinates() -> None:
     assert found.iterations == fitter.iterations
     sums = fitter.evaluate(0, np.array([2.0]))
     assert sums.cost == pytest.approx(0.5 * (1 + 0.5))
+
+
+def test_coordinates_alone_are_fitted_without_markers() -> None:
+    """No marker leaves no error of one; the pose is the recorded one, one by one and all together."""
+    targets = Targets(np.arange(3.0), (), np.zeros((3, 0, 3)), np.zeros(0), (0,), np.array([[1.0], [2.0], [np.nan]]),
+                      np.array([0.5]))  # fmt: skip
+    kernels: Any = Rail()
+    found = Fitter(kernels, targets).fit()
+    assert found.q[:, 0] == pytest.approx([1.0, 2.0, 2.0], abs=1e-9)
+    assert found.errors.shape == (3, 0)
+    assert found.is_undetermined[:, 0].tolist() == [False, False, True]
 
 
 def test_frames_are_fitted_from_the_one_that_is_known_best_to_both_sides() -> None:
