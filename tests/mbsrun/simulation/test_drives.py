@@ -126,7 +126,7 @@ def test_the_time_is_the_last_input_where_forces_read_it() -> None:
         (piece,) = play(drive, 3.0, kernels)
         assert (piece.start, piece.end, piece.is_constant, piece.law) == (0.0, 3.0, False, None)
         assert piece.at(0.5).tolist() == [1.0, 2.0, 0.5]
-    (piece,) = play(control(lambda t, q, qd: [q[0], qd[0]]), 3.0, kernels)
+    (piece,) = play(control(lambda _, q, qd: [q[0], qd[0]]), 3.0, kernels)
     assert piece.at(0.5, Q, QD).tolist() == [2.0, -1.0, 0.5]
     (piece,) = play(hold([1.0, 2.0]), 3.0)
     assert piece.is_constant

@@ -283,10 +283,10 @@ def test_words_of_inverse_dynamics() -> None:
     manifest = make_manifest()
     assert _describe(manifest, [0], 0.25, np.array([1 / 3])) == "t = 0.25 s, x = 0.333333"
     kernels: Any = SimpleNamespace(manifest=manifest)
-    with pytest.raises(ArgumentError, match="cart was generated without impl$"):
+    with pytest.raises(ArgumentError, match=r"cart was generated without impl$"):
         check_kernels(kernels)
     kernels.manifest = make_manifest(loops=("cut",), kernels=[SimpleNamespace(name=x) for x in ("impl", "loops")])
-    with pytest.raises(ArgumentError, match="without loop_jacobian, loop_rates$"):
+    with pytest.raises(ArgumentError, match=r"without loop_jacobian, loop_rates$"):
         check_kernels(kernels)
     kernels.manifest = make_manifest(kernels=[SimpleNamespace(name="impl")])
     check_kernels(kernels)
