@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import csv
+import io
+import json
+import math
 from importlib import import_module
 from types import SimpleNamespace
 from typing import Any
@@ -10,7 +14,21 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from mbsrun.simulation.motion import Bounces, Effort, Energy, Event, Keeping, Kind, Segment, Settings, Strikes
+from mbsrun.simulation.motion import (
+    Bounces,
+    ClosureRecord,
+    Effort,
+    Energy,
+    Event,
+    Halt,
+    Impacts,
+    Keeping,
+    Kind,
+    Segment,
+    Settings,
+    Strikes,
+)
+from mbsrun.simulation.record import _summarise, _tabulate, describe_settings
 from mbsrun.simulation.simulate import (
     InsideError,
     _check_outside,
@@ -252,3 +270,115 @@ def test_processor_time_of_steps_adds_up(monkeypatch: pytest.MonkeyPatch) -> Non
     passed: list[Any] = list(_timed(chunks, effort))
     assert passed == ["a", "b"]
     assert effort.seconds == 14.0
+
+
+# --- files ----------------------------------------------------------------------------------------------------------
+
+
+def describe(kind: str, **given: Any) -> tuple[Any, Any]:
+    """Make a motion of a slider and a bob, and a stand-in of its kernels."""
+    joints = [
+        SimpleNamespace(name="s", unit="m", force_unit="N", is_smooth=True),
+        SimpleNamespace(name="b", unit="rad", force_unit="N m", is_smooth=False),
+    ]
+    loop = SimpleNamespace(name="cut", cut="constraint", equations=("h",), redundant=())
+    manifest: Any = SimpleNamespace(
+        model="cart", model_hash="h4", coordinates=joints, positions=("s", "b"), configuration=(), inputs=("s",),
+        actuated=(0,), loops=(loop,), driven=(1,), quaternions=(), wrenches=(), signals=(), frames=(),
+        equations=("cut.h",),
+    )  # fmt: skip
+    x = np.array([[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]])
+    energy = Energy(np.array([1.0, 4, 2]), np.array([10.0, 20, 40]), np.array([0.0, 7, 9]), *given.pop("losses", ()))
+    motion: Any = SimpleNamespace(
+        t=np.array([0.0, 0.5, 1.5]), q=x, qd=10 * x, inputs=100 * x[:, :1], energy=energy, halt=None, closure=None,
+        warnings=("a",), modes=None, events=(), effort=Effort(3), settings=Settings(1.5, "rk4"), is_complete=True,
+        numbers=SimpleNamespace(label="{} [x]".format),
+    )  # fmt: skip
+    vars(motion).update(given)
+    return motion, SimpleNamespace(manifest=manifest, parameters={"k": 2.0}) if kind == "kernels" else manifest
+
+
+def summarise(**given: Any) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads(_summarise(*describe("kernels", **given)))
+    return found
+
+
+def test_a_summary_has_the_energies_at_both_ends_and_the_last_state() -> None:
+    """The total at the start and at the end, the work and the losses until then; the largest drift of all times."""
+    found = summarise()
+    drift = max(abs(24 - 11 - 7.0), abs(42 - 11 - 9.0))
+    assert found["energy"] == {"start": 11.0, "end": 42.0, "work": 9.0, "largest_drift": drift}
+    assert found["end"] == {"t": 1.5, "q": [5.0, 6.0], "qd": [50.0, 60.0]}
+    assert (found["complete"], found["halt"], found["warnings"]) == (True, None, ["a"])
+    assert (found["model"], found["model_hash"], found["parameters"]) == ("cart", "h4", {"k": 2.0})
+    assert (found["coordinates"], found["inputs"], found["effort"]["steps"]) == (["s", "b"], ["s"], 3)
+    assert {"configuration", "closure", "modes", "events"}.isdisjoint(found)
+    losses = (np.array([0.0, 1, 3]), np.array([0.0, 2, 5]))
+    energy = summarise(losses=losses)["energy"]
+    assert (energy["friction"], energy["impacts"], energy["largest_drift"]) == (3.0, 5.0, 42 - 11 - 9 + 8)
+    assert summarise(energy=None)["energy"] is None
+    assert summarise(losses=(None, losses[1]))["energy"].keys().isdisjoint({"friction"})
+
+
+def test_a_summary_has_what_ends_a_motion_and_what_happens_on_the_way() -> None:
+    halt = Halt(1.5, None, "it is singular", "look there")
+    event = Event(0.5, "b", Kind.IMPACT, -1.0, 0.5)
+    closure = ClosureRecord(np.zeros(3), np.zeros(3), (1e-9, 2e-9), np.zeros((3, 1)), np.zeros((3, 1)))
+    modes = np.zeros((3, 2), dtype=int)
+    found = summarise(halt=halt, is_complete=False, events=(event,), modes=modes, closure=closure)
+    assert (found["complete"], found["halt"]["finding"]) == (False, "it is singular")
+    assert found["events"] == [{"t": 0.5, "joint": "b", "event": "hits", "before": -1.0, "after": 0.5}]
+    assert found["modes"] == {"backward": -1, "free": 0, "forward": 1, "sticks": 2, "lower": 3, "upper": 4}
+    closed = {"loops": ["cut"], "driven": ["b"], "largest_position": 1e-9, "largest_velocity": 2e-9}
+    assert found["closure"] == closed
+
+
+def test_settings_that_matter_are_listed() -> None:
+    """Of the method, of loops and impacts that are not the first ones, and of latches, which may have no end."""
+    plain = describe_settings(Settings(2.0, "rk4", step=1e-2))
+    assert plain == {"duration": 2.0, "method": "rk4", "step": 1e-2, "formulation": "exp2"}
+    assert {"rtol", "atol"} <= describe_settings(Settings(2.0)).keys()
+    latch: Any = SimpleNamespace(name="hook", times=((0.5, 1.0), (2.0, math.inf)))
+    found = describe_settings(
+        Settings(2.0, "rk4", loops=Keeping.BAUMGARTE, impacts=Impacts.POISSON, alpha=3.0, beta=4.0, latches=(latch,))
+    )
+    assert found["latches"] == {"hook": [[0.5, 1.0], [2.0, None]]}
+    assert (found["loops"], found["impacts"], found["alpha"], found["beta"]) == ("baumgarte", "poisson", 3.0, 4.0)
+    kept = describe_settings(Settings(2.0, "rk4", loops=Keeping.PROJECTION))
+    assert kept["loops"] == Keeping.PROJECTION.value
+    assert {"alpha", "beta", "impacts", "latches"}.isdisjoint(kept)
+
+
+def tabulate(**given: Any) -> dict[str, list[float]]:
+    header, *rows = csv.reader(io.StringIO(_tabulate(*describe("manifest", **given), [])))
+    return {name: [float(row[k]) for row in rows] for k, name in enumerate(header)}
+
+
+def test_a_table_has_a_row_for_each_time() -> None:
+    found = tabulate()
+    assert found["t [s]"] == [0.0, 0.5, 1.5]
+    assert [x for name, x in found.items() if name.startswith("q[b]")] == [[2.0, 4.0, 6.0]]
+    assert [x for name, x in found.items() if name.startswith("qd[s]")] == [[10.0, 30.0, 50.0]]
+    assert [x for name, x in found.items() if name.startswith("input[s]")] == [[100.0, 300.0, 500.0]]
+    assert (found["kinetic [J]"], found["potential [J]"]) == ([1, 4, 2], [10, 20, 40])
+    assert found["work [J]"] == [0, 7, 9]
+    assert not [name for name in found if name.startswith(("friction", "impacts", "mode", "open"))]
+    assert "work [J]" not in tabulate(energy=None)
+    losses = (np.array([0.0, 1, 3]), np.array([0.0, 2, 5]))
+    both = tabulate(losses=losses)
+    assert (both["friction [J]"], both["impacts [J]"]) == ([0, 1, 3], [0, 2, 5])
+    assert "friction [J]" not in tabulate(losses=(losses[0], None))
+    assert "impacts [J]" not in tabulate(losses=(None, losses[1]))
+
+
+def test_a_table_has_modes_of_joints_that_switch_and_forces_of_loops() -> None:
+    modes = np.array([[0, 2], [0, 1], [0, -1]])
+    closure = ClosureRecord(
+        np.array([0.1, 0.2, 0.3]), np.array([0.4, 0.5, 0.6]), (1.0, 2.0), np.full((3, 1), 7.0), np.full((3, 1), 8.0)
+    )
+    found = tabulate(modes=modes, closure=closure)
+    assert found["mode[b]"] == [2, 1, -1]
+    assert "mode[s]" not in found
+    assert (found["open"], found["opening"]) == ([0.1, 0.2, 0.3], [0.4, 0.5, 0.6])
+    assert [7.0] * 3 in found.values()
+    assert [8.0] * 3 in found.values()
