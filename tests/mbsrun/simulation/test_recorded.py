@@ -113,7 +113,7 @@ def test_wrenches_and_signals_that_nobody_recorded_are_0() -> None:
 
 
 def test_loads_are_found_by_the_names_that_simulations_write() -> None:
-    """All components of what the wrench leaves open, with the name of the input or without."""
+    """All components that the wrench leaves open, with the name of the input or without."""
     for begin, end in (("input[push", "]"), ("push", "")):
         force, moment = (spread(f"{begin}.{part}.", FORCE, end) for part in ("force", "moment"))
         found = _find_loads(record({**force, **moment}), make_manifest())
