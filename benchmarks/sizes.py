@@ -54,7 +54,15 @@ PINOCCHIOS = {
     "exp2": "Pinocchio, ABA",
 }
 LOOPED, INTERPRETED = "in loops", "interpreted"
+REASONS = {
+    ACCELERATIONS: "EXP2 has fewer operations, but each joint waits for the one before it. In EXP1 more operations are "
+    "independent of each other.",
+    MASS: "M has a column for each joint, and loops compute each by a whole call of IMPL. A recursion over composite "
+    "bodies, as Pinocchio's, takes a few operations for each entry.",
+}
 NUMBERS = 64_000  # coordinates of all states of a time, so that few joints have many states
+PASS_NS = 3e7  # of one function in a round, at most, unless one call takes longer
+NEAR = 1.2  # times the quickest way: further off, the page says so
 CALLS = 3  # of slow ways, of which the quickest counts
 
 
@@ -72,6 +80,7 @@ class Point:
     compiled_s: float | None = None  # processor time
     source_kb: float | None = None
     compiled_mb: float | None = None  # of memory
+    faster: float | None = None  # than the quickest of Pinocchio's ways, in the same rounds: the median
 
 
 class Chain:
@@ -131,10 +140,10 @@ def _time(chain: Chain, made: Mapping[str, Made], peers: Sequence[Candidate], ro
     """Time kernels and peers in turn; of a peer with either kind of sines, the quicker counts."""
     ours = [c for name, m in made.items() for c in m.candidates if c.function == name]
     entries = [entry for c in (*ours, *peers) if (entry := load(c, chain.states)) is not None]
-    times = np.array(list(measure_rounds([Watch(e.code, e.inputs) for e in entries], rounds))).min(axis=0)
+    rows = np.array(list(measure_rounds([_watch(e) for e in entries], rounds)))
     points: dict[str, Point] = {}
-    for entry, ns in zip(entries, times, strict=True):
-        name = entry.candidate.function
+    for entry, times in zip(entries, rows.T, strict=True):
+        name, ns = entry.candidate.function, times.min()
         task, is_peer = TASKS[name], entry.candidate.author == PINOCCHIO
         way = PINOCCHIOS[name] if is_peer else STRAIGHT[name]
         error = chain.find_error(task, entry.evaluate(0)["qdd"]) if task == ACCELERATIONS else None
@@ -144,9 +153,24 @@ def _time(chain: Chain, made: Mapping[str, Made], peers: Sequence[Candidate], ro
             point = replace(
                 point, generated_s=generated, compiled_s=compiled, compiled_mb=memory, source_kb=source / 1e3
             )
+            others = [row for e, row in zip(entries, rows.T, strict=True) if _is_peer(e, task)]
+            if others:
+                point = replace(point, faster=float(np.median(np.min(others, axis=0) / times)))
         if way not in points or ns < points[way].ns:
             points[way] = point
     return list(points.values())
+
+
+def _is_peer(entry: Entry, task: str) -> bool:
+    return entry.candidate.author == PINOCCHIO and TASKS[entry.candidate.function] == task
+
+
+def _watch(entry: Entry) -> Watch:
+    """Bind a function to all states, or to the first ones where calls are slow."""
+    few = [x[:2] for x in entry.inputs]
+    ns = Watch(entry.code, few).measure(1)
+    states = int(np.clip(PASS_NS / ns, 1, len(entry.inputs[0])))
+    return Watch(entry.code, [x[:states] for x in entry.inputs])
 
 
 def _list_columns(chain: Chain) -> dict[str, Array]:
@@ -212,12 +236,13 @@ def make_panels(points: Sequence[Point]) -> list[Growth]:
     making = Growth(
         "Straight-line C", _draw(made, "ns"), "joints", "processor time to generate and compile", rises="ns"
     )
-    return [
+    panels = [
         *timed,
         replace(errors, verb="is the most accurate", alike=DIGIT),
         operations,
         replace(making, are_rivals=False),
     ]
+    return [replace(panel, known=tuple(STRAIGHT.values())) for panel in panels]
 
 
 def _draw(points: Sequence[Point], number: str) -> tuple[Dot, ...]:
@@ -249,14 +274,16 @@ def _count(joints: int) -> str:
 
 def write_page(points: Sequence[Point], machine: str, rounds: int) -> str:
     """Write the points as a page."""
-    columns = ("ns", "flops", "error", "generated s", "compiled s", "C kB", "MB")
+    columns = ("ns", "faster", "flops", "error", "generated s", "compiled s", "C kB", "MB")
     lines = [
         f"# Chains of {points[0].joints} to {points[-1].joints} joints",
         "",
         f"![{write_title(points)}](sizes.png)",
         "",
         f"{machine}; C with `{describe_flags()}`, of more than 2 MB with `-O1`.",
-        f"The shortest of {rounds} rounds; of interpreted equations and LAPACK, of {CALLS} calls.",
+        f"Times are the shortest of {rounds} rounds; of interpreted equations and LAPACK, of {CALLS} calls. *Faster*: "
+        "how many times faster than the quickest of Pinocchio's ways, the median of the ratios in the same rounds. So "
+        "other programs on the machine disturb it little.",
         "",
         "Straight-line C has no loops: its size, and the time to compile it, grow with the operations. SEMI and",
         "EXP1 end where their C would compile for minutes. *In loops*: M and the bias by n + 2 calls of IMPL's C;",
@@ -267,6 +294,12 @@ def write_page(points: Sequence[Point], machine: str, rounds: int) -> str:
         "marks the size from which on another way is the best. The time to generate includes the check of each",
         "function in 50 digits; MB are of the compiler.",
         "",
+        "Accelerations are computed by themselves in the form with the fewest operations (`exp`), mass matrices by "
+        "straight-line C as long as that compiles.",
+        "",
+        *write_gaps(points),
+        "## All figures",
+        "",
         f"| joints | | | {' | '.join(columns)} |",
         "|---:|---|---|" + "---:|" * len(columns),
         *(f"| {p.joints} | {p.task} | {p.way} | {' | '.join(_write_cells(p))} |" for p in points),
@@ -274,9 +307,56 @@ def write_page(points: Sequence[Point], machine: str, rounds: int) -> str:
     return "\n".join(lines) + "\n"
 
 
+@dataclass(frozen=True)
+class Gap:
+    """The way that is taken by itself for a task, beside the quickest one."""
+
+    own: Point
+    quickest: Point
+
+    @property
+    def times(self) -> float:
+        """Return how many times longer the way takes by itself."""
+        return self.own.ns / self.quickest.ns
+
+
+def find_gaps(points: Sequence[Point]) -> list[Gap]:
+    """Compare what is taken by itself with the quickest way, by task and size.
+
+    Accelerations are by the form with the fewest operations, and matrices by straight-line C where there is some.
+    """
+    gaps = []
+    for task in TITLES:
+        for size in sorted({p.joints for p in points}):
+            ways = [p for p in points if (p.task, p.joints) == (task, size)]
+            straight = [p for p in ways if p.flops is not None]
+            looped = [p for p in ways if LOOPED in p.way]
+            if straight or looped:
+                own = min(straight, key=lambda p: p.flops or 0) if straight else looped[0]
+                gaps.append(Gap(own, min(ways, key=lambda p: p.ns)))
+    return gaps
+
+
+def write_gaps(points: Sequence[Point]) -> list[str]:
+    """State for each task where the way that is taken by itself is beyond NEAR times the quickest one, and why."""
+    lines = ["## Beside the quickest way", ""]
+    for task, title in TITLES.items():
+        gaps = [gap for gap in find_gaps(points) if gap.own.task == task]
+        far = [gap for gap in gaps if gap.times > NEAR]
+        if gaps and not far:
+            lines.append(f"- {title}: at most {max(g.times for g in gaps):.2g} times the quickest way, at every size.")
+        elif far:
+            found = ", ".join(
+                f"{g.times:.2g} times {g.quickest.way} ({_count(g.own.joints)}, by {g.own.way})" for g in far
+            )
+            lines.append(f"- {title}: within {NEAR} times the quickest way, except {found}. {REASONS.get(task, '')}")
+    return [*lines, ""]
+
+
 def _write_cells(p: Point) -> tuple[str, ...]:
     cells: tuple[tuple[float | None, str], ...] = (
         (p.ns, ",.0f"),
+        (p.faster, ".3g"),
         (p.flops, ",d"),
         (p.error, ".0e"),
         (p.generated_s, ".1f"),

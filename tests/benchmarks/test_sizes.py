@@ -37,6 +37,21 @@ def test_lines_of_different_results_have_powers_and_no_best() -> None:
     assert not panel.front
 
 
+def test_sizes_at_which_another_way_is_quicker_are_named_with_a_reason() -> None:
+    """EXP2 has the fewest operations and is taken: at 4 joints it takes 1.5 times as long as EXP1, at 8 joints less."""
+    points = [
+        sizes.Point(size, sizes.ACCELERATIONS, way, ns, flops)
+        for way, flops, times in (("EXP1", 20, {4: 10.0, 8: 30.0}), ("EXP2", 19, {4: 15.0, 8: 25.0}))
+        for size, ns in times.items()
+    ]
+    points.append(sizes.Point(4, sizes.TORQUES, "IMPL", 5.0, 7))
+    points.append(sizes.Point(4, sizes.TORQUES, "Pinocchio, RNEA", 50.0))
+    assert [gap.times for gap in sizes.find_gaps(points)] == [1.5, 1.0, 1.0]
+    _, _, accelerations, torques, _ = sizes.write_gaps(points)
+    assert "except 1.5 times EXP1 (4 joints, by EXP2). EXP2 has fewer operations" in accelerations
+    assert torques == "- Torques: at most 1 times the quickest way, at every size."
+
+
 def test_sizes_are_measured_without_pinocchio_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Two formulations straight, two in loops, two interpreted; all accelerations are exact."""
     monkeypatch.setattr(sizes, "find_includes", lambda: None)

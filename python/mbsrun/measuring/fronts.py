@@ -70,6 +70,7 @@ class Panel:
     choice: Dot | None = None  # the advised setting
     floor: float | None = None  # the reference is no more accurate
     whole: float | None = None  # the work without any reduction
+    known: tuple[str, ...] = ()  # methods that have the same colours in several panels
 
     better: ClassVar[str] = "↙ better"
     worst: ClassVar[float] = 10.0  # larger errors stand there

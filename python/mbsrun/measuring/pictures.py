@@ -244,7 +244,7 @@ def _draw_axes(axes: Axes, panel: Panel, prefix: str) -> None:
     quiet = _write_quiet(axes, panel, taken)
     taken += [*broken, *quiet]
     wanted = panel.choose_lines()
-    colors = {name: PALETTE[k] for k, name in enumerate(name for name in lines if name in wanted)}
+    colors = choose_colors([name for name in lines if name in wanted], panel.known)
     named = _place_names(axes, {name: lines[name] for name in wanted}, colors, np.array(taken), quiet)
     numbers = {id(dot): k for k, dot in enumerate(panel.dots)}
     for name, line in lines.items():
@@ -254,6 +254,12 @@ def _draw_axes(axes: Axes, panel: Panel, prefix: str) -> None:
             size = MARK if place(dot) in line else 0.6 * MARK
             (drawn,) = axes.plot(*place(dot), "o", color=color, markersize=size, zorder=order, markeredgewidth=0)
             drawn.set_gid(f"{prefix}{numbers[id(dot)]}" if prefix else None)
+
+
+def choose_colors(names: Sequence[str], known: Sequence[str]) -> dict[str, str]:
+    """Give the known methods the first colours, whether they are there or not, and the others the next ones."""
+    others = [name for name in names if name not in known]
+    return {name: PALETTE[k % len(PALETTE)] for k, name in enumerate((*known, *others)) if name in names}
 
 
 def _find_places(panel: Panel) -> Callable[[Dot], tuple[float, float]]:

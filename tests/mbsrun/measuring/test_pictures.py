@@ -16,7 +16,7 @@ from PIL import Image
 from mbsgen.style import PALETTE
 from mbsrun.measuring.explorer import render_explorer
 from mbsrun.measuring.fronts import Dot, Panel
-from mbsrun.measuring.pictures import MARK, PAGE, PHONE, draw_panels, lay_out, save_picture
+from mbsrun.measuring.pictures import MARK, PAGE, PHONE, choose_colors, draw_panels, lay_out, save_picture
 
 METHODS = ("rk4", "dop853", "euler", "gauss", "radau-iia", "generalized-alpha", "variational", "lsoda", "bdf")
 
@@ -99,3 +99,11 @@ def test_the_page_holds_every_setting_with_its_command() -> None:
     told = [json.loads(unescape(x)) for x in re.findall(r'data-dot="([^"]*)"', page)]
     assert len(told) == len(panel.dots) + 1
     assert told[-1] == ["<script>alert(1)</script>, it's", "1 s, error 1e-3", "mbsrun simulate 'a b.yaml'"]
+
+
+def test_known_methods_have_the_same_colours_in_all_panels() -> None:
+    """Also where one of them is missing; other methods have other colours."""
+    known = ("IMPL", "EXP2")
+    first, second = choose_colors(["EXP2", "ABA", "IMPL"], known), choose_colors(["EXP2", "RNEA"], known)
+    assert first == {"IMPL": PALETTE[0], "EXP2": PALETTE[1], "ABA": PALETTE[2]}
+    assert second == {"EXP2": PALETTE[1], "RNEA": PALETTE[2]}
