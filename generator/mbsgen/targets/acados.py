@@ -78,14 +78,13 @@ def add_acados(families: Sequence[Family], *, timed: bool = True) -> tuple[Famil
     given = [o.port.role for tape in tapes.values() for o in tape.outputs]
     if not {*taken, *given}.isdisjoint(_LOOPS):
         raise OptionError(
-            "acados: it would integrate loops apart, since nothing keeps them closed, and it moves no driven joints; "
-            "leave it out"
+            "acados: its integrators would let closed loops drift apart, and move no driven joints; leave acados out"
         )
     dynamics = [tape for tape in tapes.values() if tape.function in (residual, *explicit)]
     if any(_size(tape, Role.COORDINATE) != tape.outputs[0].sparsity.rows for tape in dynamics):
         raise OptionError(
-            "acados: its states are q and qd, of one size, and a joint with a quaternion has more of the one; give the "
-            "joint turns in a row, or leave acados out"
+            "acados: q and qd must have the same size, but a joint with a quaternion has more coordinates than "
+            "velocities; give the joint turns in a row, or leave acados out"
         )
 
     def measure(function: Function) -> int:

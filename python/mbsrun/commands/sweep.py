@@ -268,7 +268,7 @@ def _check_options(context: click.Context, over: Sequence[object], cases: Path |
         raise click.UsageError("a cluster has its own workers; give --scheduler alone, without --threads and --workers")
     if "scheduler" in given and "neighbours" in given:
         raise click.UsageError(
-            "--neighbours takes no cluster, where cases know nothing of each other; leave one of both out"
+            "on a cluster, no case starts from the solution of another one; leave --neighbours or --scheduler out"
         )
     if strange:
         raise click.UsageError(f"{', '.join(strange)}: for a grid of targets; leave it out with --over or --cases")

@@ -150,7 +150,7 @@ def _check(path: Path, settings: Settings, wishes: Wishes) -> None:
     if wrong := [f"noise of {name}" for name, x in settings.noise.items() if not x > 0]:
         raise IdentificationError(f"{', '.join(wrong)} must be positive; give a number above 0")
     if (wishes.criterion == "C") != bool(wishes.number):
-        raise IdentificationError("criterion C makes one number surest, and the others none; give C and a number")
+        raise IdentificationError("criterion C is for one number, the others are for all; give C and a number together")
     if wishes.samples < 8 * wishes.harmonics:
         raise IdentificationError(f"give {8 * wishes.harmonics} samples at least, 8 for each harmonic")
 

@@ -163,7 +163,7 @@ class _Reading(Reading):
         """Make the statement, which is valid only if there are no faults."""
         for key, expression in section.constants.items():
             if not is_free_name(key) or key in (TIME, *self.quantities):
-                self.fault(("constants", key), "no name for a constant", "give a word that means nothing else")
+                self.fault(("constants", key), "no name for a constant", "give a name that nothing else has")
             self.constants[key] = self.number(("constants", key), expression)
         settings, drive = self.settings(section), self.drive(section)
         start = self.start(section.start)

@@ -215,7 +215,7 @@ class _Reading(Reading):
                 *controls,
                 *dict(self.problem.constants),
             ):
-                self.fault(place, "no name for a constant", "give a word that means nothing else")
+                self.fault(place, "no name for a constant", "give a name that nothing else has")
             self.constants[key] = self.number(place, expression)
         if self.problem.references:
             finding = f"the problem reads the recording {self.problem.references[0].name}, each plan from its start"

@@ -255,7 +255,7 @@ def test_every_fault_of_states_is_reported(tmp_path: Path) -> None:
     assert faults["controls.exc.range"][1] == "1 is above 0"
     assert faults["integrals[0].expression"][1] == 'unknown name "bct"'
     for name in ("states.sin", "states.k", "states.q_q1", "controls.act"):
-        assert faults[name][2] == "give a word that means nothing else"
+        assert faults[name][2] == "give a name that nothing else has"
     assert "states.free.start" in faults
 
 

@@ -166,7 +166,7 @@ BAD = {
         "{q_cart: {",
         "unknowns.q_cart",
         "no name for an unknown",
-        "give a word that means nothing else",
+        "give a name that nothing else has",
     ),
     "an unknown name": (
         "cost: {inputs: 1}",

@@ -156,7 +156,7 @@ def test_a_table_lists_cases_and_a_case_may_fail(sweep: Sweep) -> None:
         ),
         "neighbours on a cluster": (
             ["--over", "horizon", "1", "--scheduler", "tcp://127.0.0.1:1", "--neighbours"],
-            "--neighbours takes no cluster",
+            "on a cluster, no case starts from the solution of another one",
         ),
         "options of cases": (["--workers", "2"], "--workers needs --over or --cases; give one of them"),
         "no table": (["--cases", "nowhere.csv"], "nowhere.csv: there is no such file"),

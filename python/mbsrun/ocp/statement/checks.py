@@ -488,7 +488,7 @@ def _find_wrong_additions(problem: Problem, manifest: Manifest) -> Iterator[Line
     named += [(f"unknowns[{i}]", unknown) for i, unknown in enumerate(problem.unknowns)]
     for place, part in named:
         if not is_free_name(part.name) or part.name in taken:
-            yield (f"{place}.name", f"found {abbreviate(part.name)}", "give a word that means nothing else")
+            yield (f"{place}.name", f"found {abbreviate(part.name)}", "give a name that nothing else has")
         taken.add(part.name)
         guess = part.guess if isinstance(part.guess, tuple) else (0.0 if part.guess is None else part.guess,)
         if not all(map(math.isfinite, guess)):
@@ -522,7 +522,7 @@ def _find_wrong_functions(problem: Problem, known: Set[str]) -> Iterator[Line]:
     named = [function.name for function in problem.functions]
     for i, function in enumerate(problem.functions):
         if function.name in known or named.count(function.name) > 1 or not is_free_name(function.name):
-            yield (f"functions[{i}].name", f"found {abbreviate(function.name)}", "give a word that means nothing else")
+            yield (f"functions[{i}].name", f"found {abbreviate(function.name)}", "give a name that nothing else has")
         for name in sorted(set(function.reads) - known):
             yield (f"functions[{i}].reads", f"unknown name {abbreviate(name)}", "take symbols of `quantities()`")
         if not function.code:

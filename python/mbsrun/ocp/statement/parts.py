@@ -91,7 +91,7 @@ class PartReading(Reading):
         """Add a name to the names that expressions read."""
         if not is_free_name(name) or name in self.quantities or name in self.constants:
             named = "" if name in place else f": {abbreviate(name)}"
-            self.fault(place, f"no name for {kind}{named}", "give a word that means nothing else")
+            self.fault(place, f"no name for {kind}{named}", "give a name that nothing else has")
         self.quantities.setdefault(name, quantity)
 
     def states(self, given: Mapping[str, StateSection]) -> tuple[State, ...]:

@@ -71,7 +71,7 @@ class Referring:
             place: Place = ("references", name)
             if not is_free_name(name):
                 self.missing.add(name)
-                self.reading.fault(place, "no name for a reference", "give a word that means nothing else")
+                self.reading.fault(place, "no name for a reference", "give a name that nothing else has")
                 continue
             try:
                 recording = read_recording(self.folder / section.file)

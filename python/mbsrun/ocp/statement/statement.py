@@ -264,7 +264,7 @@ class _Reading(PartReading):
         section = add_muscles(section, self.plant, self.fault)
         for key, expression in section.constants.items():
             if not is_free_name(key) or key in self.quantities:
-                self.fault(("constants", key), "no name for a constant", "give a word that means nothing else")
+                self.fault(("constants", key), "no name for a constant", "give a name that nothing else has")
             self.constants[key] = self.number(("constants", key), expression)
         self.add_names(section)
         self.rewriting = Rewriting(self, section, self.inputs.known, f"{name}_" if self.is_phase else "")
