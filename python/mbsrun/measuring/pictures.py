@@ -257,7 +257,7 @@ def _draw_axes(axes: Axes, panel: Panel, prefix: str) -> None:
 
 
 def choose_colors(names: Sequence[str], known: Sequence[str]) -> dict[str, str]:
-    """Give the known methods the first colours, whether they are there or not, and the others the next ones."""
+    """Return colours by name: the first ones of the known methods, whether they are there or not, then the others."""
     others = [name for name in names if name not in known]
     return {name: PALETTE[k % len(PALETTE)] for k, name in enumerate((*known, *others)) if name in names}
 
