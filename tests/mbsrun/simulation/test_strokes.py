@@ -16,7 +16,7 @@ from mbsrun.closure import Closure
 from mbsrun.commands.range import MOVED
 from mbsrun.external import Mechanism
 from mbsrun.quaternions import neutral
-from mbsrun.simulation.strokes import Stroke, find_stroke, find_strokes
+from mbsrun.simulation.strokes import Stroke, _Way, find_stroke, find_strokes
 
 MODELS = Path(__file__).parents[3] / "models"
 
@@ -88,3 +88,23 @@ def test_the_command_prints_ends_and_writes_the_way(tmp_path: Path) -> None:
     wrong = CliRunner().invoke(cli, ["range", model, "--joint", "swong"])
     assert wrong.exit_code == 2
     assert "give some of motor, pin, swing" in wrong.output
+
+
+def test_the_limit_that_a_step_goes_farthest_beyond_is_named() -> None:
+    """A joint that begins beyond its limit may come back; one on its limit may stay there."""
+    way = _Way.__new__(_Way)
+    way.names = ("a", "b", "c")
+    way.lower, way.upper = np.array([-1.0, -np.inf, 0.0]), np.array([1.0, 2.0, np.inf])
+    for last, found, name in (
+        ((0.0, 0.0, 0.0), (1.0, 2.0, 0.0), ""),
+        ((0.0, 0.0, 0.0), (1.5, 2.0, 0.0), "a"),
+        ((0.0, 0.0, 0.0), (1.5, 2.75, 0.0), "b"),
+        ((0.0, 0.0, 0.0), (-1.5, 2.25, -0.75), "c"),
+        ((5.0, 0.0, 0.0), (4.0, 2.5, 0.0), "b"),
+        ((5.0, 0.0, 0.0), (4.0, 2.0, 0.0), ""),
+        ((5.0, 2.0, -3.0), (5.25, 2.125, -3.5), "c"),
+        ((-5.0, 0.0, 0.0), (-5.25, 0.0, 0.0), "a"),
+        ((-5.0, 0.0, 0.0), (-4.0, 0.0, 0.0), ""),
+    ):
+        told = way._find_limit(np.array(last), np.array(found))
+        assert told == (f"limit of {name}" if name else "")
