@@ -159,7 +159,7 @@ def test_impacts_are_balanced_to_rounding(
     own = SimpleNamespace(
         links=links,
         constraint_bounds=lambda _: (lower, upper),
-        variable_bounds=lambda _: (lower, upper),
+        variable_bounds=lambda _: (lower, lower - 1),
         see_rows=lambda rows: rows,
         see=lambda changes: changes,
         offsets=[SimpleNamespace(rows=1)],
