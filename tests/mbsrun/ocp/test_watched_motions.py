@@ -26,7 +26,7 @@ from mbsrun.ocp.solving.singularities import (
     _find_zero,
     find_cause,
 )
-from mbsrun.ocp.solving.stepping import Span, _read_each
+from mbsrun.ocp.solving.stepping import Span, Stepper, _read_each
 from mbsrun.simulation.motion import Chunk
 
 Array = NDArray[np.float64]
@@ -245,3 +245,31 @@ def test_steps_of_several_motions_are_read_at_fractions_of_each() -> None:
     assert _read_steps(steps, motions, fractions).tolist() == [[0.4, 1], [1, 0], [4, 1], [2, 0]]
     beyond = _read_steps(steps, np.array([0]), np.array([1 + 1e-12]))
     assert beyond[0, 0] == pytest.approx(4.0)
+
+
+def gather(*spans: Span, law: Any = None) -> tuple[Any, list[Any]]:
+    """Return what reads several spans, and the steps that it starts from."""
+    asked: list[Any] = []
+
+    def read_pieces(pieces: Any, which: Any, begins: Array, lengths: Array, starts: Array) -> Array:
+        asked.append((len(pieces), which.tolist(), begins.tolist(), starts[:, 0].tolist()))
+        return begins + lengths
+
+    stepper: Any = SimpleNamespace(_equations=SimpleNamespace(kept={"plant": SimpleNamespace(read_pieces=read_pieces)}))
+    pieces: Any = [SimpleNamespace(law=law)] * len(spans)
+    return Stepper.gather(stepper, pieces, spans), asked
+
+
+def test_times_of_several_motions_are_read_from_the_step_of_their_own_motion() -> None:
+    """Also at the time at which one ends and the next one begins, and beyond the last step by rounding."""
+    read, asked = gather(span(0.0, 1.0), span(1.0, 2.0, 4.0), span(4.0, 8.0))
+    which, times = np.array([0, 1, 0, 1, 1, 2, 2, 0]), np.array([1.0, 1.0, 0.25, 3.5, 4.0, 4.0, 8.0, 0.5])
+    assert read(which, times) == pytest.approx(times)
+    begins = [0.5, 1.0, 0.0, 3.0, 3.0, 4.0, 6.0, 0.5]
+    assert asked == [(3, which.tolist(), begins, begins)]
+
+
+def test_motions_whose_inputs_follow_the_state_are_read_one_by_one() -> None:
+    read, asked = gather(span(0.0, 1.0), span(1.0, 2.0), law=1)
+    assert read(np.array([1, 0]), np.array([1.5, 0.25])).tolist() == [[1.5, 1.0], [0.25, 1.0]]
+    assert asked == []
