@@ -160,7 +160,7 @@ def test_limits_are_above_0_and_0_stands_for_none() -> None:
 
 
 def answer(own: Any, status: Any, write: float | None = None) -> Any:
-    """Let the controller's C return a status, and write a number into its last array."""
+    """Answer calls of the C of a controller by a status, and write a number into the last array."""
 
     def call(function: str, *arguments: Any) -> Any:
         own.calls.append((function, len(arguments)))

@@ -51,7 +51,7 @@ def test_directions_of_equations_alone_cannot_be_thinned() -> None:
 
 @pytest.mark.parametrize("seed", range(8))
 def test_each_direction_takes_one_limit(seed: int) -> None:
-    """What remains has the same sum along all rows, the right signs, and no limit that another direction moves."""
+    """Sums along all rows stay, signs are right, and no direction is left that moves a limit."""
     rng = np.random.default_rng(seed)
     m, k = 9, 1 + seed % 4
     way = rng.normal(size=(m, k))
