@@ -79,6 +79,8 @@ static void solve_all(int n, int rank)
                 sum += dense[i * MOST + j] * (X[j * WIDTH + k] - wanted[j * WIDTH + k]);
             LAW("in all columns", real_abs(sum) < 1e-11);
         }
+        for (k = 0; k < WIDTH; ++k)
+            LAW("unknowns without a pivot are 0", x[i] != 0 || X[i * WIDTH + k] == 0);
         LAW("alike", real_abs(x[i] - X[i * WIDTH]) < 1e-11);
         pivots += x[i] != 0;
     }

@@ -339,6 +339,17 @@ static void masses(void)
     LAW("all joints may be free", factorise_mass(&r) == 0 && r.M[0] == 2 && near_by(r.M[N], 0.5));
 }
 
+static void reading(void)
+{
+    static const casadi_real times[2] = {0, 1}, lengths[2] = {0.5, 0.25}, starts[4 * N + 2] = {0};
+    casadi_real ends[4 * N + 2];
+    mbs_run r = anew(1, MBS_PROJECTION);
+    (void)r;
+    fails[JACOBIAN] = 1;
+    mbs_explicit_read(&plant, &manner, 2, times, lengths, NULL, NULL, starts, ends, room, numbers, &outcome);
+    LAW("a part begins with its loops", outcome.status == 11 + JACOBIAN && calls[RESIDUAL] == 0 && calls[MASS] == 0);
+}
+
 static void renewals(void)
 {
     mbs_run r = anew(0, MBS_PARTITIONING);
@@ -771,7 +782,7 @@ static void turns(void)
 
 int main(void)
 {
-    rooms(), sizes(), choices(), corrections(), masses(), renewals(), moves(), closings(), speeds(), courses();
+    rooms(), sizes(), choices(), corrections(), masses(), reading(), renewals(), moves(), closings(), speeds(), courses();
     accelerations(), choices_of_ways(), states(), forces(), evaluations(), ends(), times(), holding(), turns();
     return broken > 0;
 }

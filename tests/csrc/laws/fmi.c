@@ -156,6 +156,8 @@ static void differentiate(void)
         && hears("derivatives are known of"));
     LAW("nor knowns", mbs_fmi_differentiate(&c, unknowns, 3, (mbs_fmi_reference[]){PUT_OUT}, 1, seed, found, 0) == 1
         && hears("derivatives are known by"));
+    LAW("nor rates", mbs_fmi_differentiate(&c, unknowns, 3, (mbs_fmi_reference[]){BY_X}, 1, seed, found, 0) == 1);
+    complaints = 0;
     LAW("nor is the time", mbs_fmi_differentiate(&c, unknowns, 3, (mbs_fmi_reference[]){T}, 1, seed, found, 0) == 1);
     complaints = 0;
     for (k = 78; k < 80; ++k) {
@@ -203,6 +205,21 @@ static void step_a_spring(void)
     c.numbers[CLOCK] = 7; /* which no time moves */
     LAW("a spring's step", mbs_fmi_advance(&c, 3, h) == 0 && same(get(&c, AT_X), 0.5 * stays - h * turns));
     LAW("and its velocity", same(get(&c, AT_XD), -stays - 2 * h * 0.5 * turns) && c.numbers[CLOCK] == 7 && c.time == 3 + h);
+    mbs_fmi_close(&c);
+}
+
+/* Two joints that are driven are all that moves. */
+static void guide_all(void)
+{
+    static const int given_both[] = {X, Y, XD, YD, U, YDD};
+    const mbs_fmi_mechanism both = {
+        "both", 2, 2, 0, 6, 2, 1, 0, SIZE, RATES, K, CLOSED, -1, moving, given_both, start, 8, 0.1,
+        prepare, NULL, rest, NULL, NULL, NULL, NULL, 0, first, 0, slopes, 0, row, column, place};
+    const double t = 0.3;
+    instance c = begin(&both);
+    LAW("all are driven", mbs_fmi_advance(&c, 0, t) == 0 && same(c.numbers[X], 0.5 + t * (-1 + 1.5 * t)));
+    LAW("each by its own", same(c.numbers[Y], 0.25 + t * (2 + 2 * t)) && same(c.numbers[XD], -1 + 3 * t)
+        && same(c.numbers[YD], 2 + 4 * t));
     mbs_fmi_close(&c);
 }
 
@@ -320,6 +337,7 @@ int main(void)
     differentiate();
     step_exactly();
     step_a_spring();
+    guide_all();
     fail_to_step();
     keep_loops();
     save_and_restore();

@@ -493,6 +493,15 @@ static void weakness(void)
     LAW("beside the largest of its column, of any sign", weak[0] == 0 && weak[1] == 1 && weak[2] == 1 && weak[3] == 1);
     weak[0] = 1;
     LAW("marks stay", mbs_mark_weak(4, start, row, value, weak, work) == 0 && weak[0] == 1);
+    {
+        const int lone[4] = {0, 1, 2, 3}, small[3] = {2, 1, 2};
+        const double few[3] = {1e-3, 1e-10, 1e-2};
+        int i;
+        for (i = 0; i < 6; ++i)
+            work[i] = 1, weak[i / 2] = 0;
+        LAW("what has no diagonal entry is weak", mbs_mark_weak(3, lone, small, few, weak, work) == 1 && weak[0] == 1);
+        LAW("what has nothing else is not", weak[1] == 0 && weak[2] == 0);
+    }
 }
 
 /* A hub, joined with one of two weak unknowns of each pair: pairs go first, since they are the ends of a tree. */
@@ -533,6 +542,12 @@ static void rooms(void)
     free(factors->values.memory), memset(&factors->values, 0, sizeof factors->values);
     hold_numbers(&factors->values, 48);
     LAW("of half as much again", factors->values.room == 72);
+    for (i = 0; i < 48; ++i)
+        factors->values.at[i] = i;
+    factors->values.used = 48, hold_numbers(&factors->values, 73);
+    for (i = 0; i < 48; ++i)
+        LAW("what is there moves to new room", factors->values.at[i] == i);
+    factors->values.used = 0;
     LAW("entries are those of L and D", mbs_factorise(factors, s.value, &pivoting).entries == 80 && factors->values.room >= 80);
     mbs_free_factors(factors), mbs_release_plan(plan);
 }
@@ -562,8 +577,16 @@ static void scarce(void)
         LAW("where memory runs out nothing is done", is_done == is_enough);
         mbs_release_plan(plan), mbs_free_factors(factors);
     }
-    memory_left = -1;
     LAW("all parts ask for some", k > 20);
+    {
+        static const int begin[3] = {0, 1, 2}, other[2] = {1, 0}, alone[2] = {-1, -1};
+        int order[2];
+        for (k = 0; k < 3; ++k) {
+            memory_left = k;
+            LAW("an order says so too", mbs_order(2, begin, other, "\0", alone, order) == -1);
+        }
+    }
+    memory_left = -1;
 }
 
 /* The largest of a few numbers or of many, wherever it is. */

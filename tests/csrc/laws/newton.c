@@ -121,6 +121,15 @@ static void measuring(void)
     LAW("beside the compliance, if that is large", measure(s, w, d).c == 2);
     s->gives[1] = (real)0.25;
     LAW("or as it is", measure(s, w, d).c == 8);
+    {
+        const residuals none = {0, 0}, limit = {s->options.tol * REFINED_SHARE, 0}, other = {0, limit.w}, right = {2, 4};
+        s->dy[0] = s->dy[1] = s->dw[0] = s->dw[1] = 0;
+        LAW("a part of the tolerance is enough", near(rate(s, limit, none, 1), 1) && near(rate(s, other, none, 1), 1));
+        LAW("or a share of the right-hand sides", near(rate(s, right, right, 0.5), 2));
+        s->dy[1] = -3e9, s->dw[0] = 5e9;
+        LAW("or the rounding of multipliers", near(rate(s, (residuals){1e-3, 0}, none, 1), 1e-3 / (SUM_ROUNDING * 3e9)));
+        LAW("and of variables", near(rate(s, (residuals){0, 1e-3}, none, 1), 1e-3 / (SUM_ROUNDING * 5e9)));
+    }
 }
 
 static void softening(void)

@@ -152,6 +152,11 @@ static void loading(void)
     LAW("in scaled units", near(p->x[0], 3) && near(p->x[1], 4) && near(p->y[0], 5 * 0.1 / 0.25));
     LAW("with multipliers of bounds", near(p->zl[1], 0.3) && near(p->zu[1], 0.4) && p->zl[0] == 0 && p->zu[0] == 0);
     LAW("and slacks in the units of rows", near(p->x[2], 1) && near(p->zl[2], 0.1) && near(p->zu[2], 0.2));
+    p->lower[0] = 3, p->upper[2] = 0.5;
+    load(s);
+    LAW("and each is brought inside of its bounds", p->x[0] == 77 && p->x[2] == 77 && near(p->x[1], 4));
+    p->lower[0] = -1e20, p->upper[2] = 20;
+    load(s);
     save(s);
     LAW("what is saved is what was loaded", near(s->slack[0], 4) && near(s->slack_below[0], 0.25));
     LAW("on both sides", near(s->slack_above[0], 0.5));

@@ -81,5 +81,9 @@ int main(void)
         LAW("what rounding leaves is no curvature", mbs_stages_soften(&s, level_out, give, held, 1e-8) == -1);
         LAW("but a tenth of a millionth is", mbs_stages_soften(&s, level_out, give, held, 1e-11) == 0);
     }
+    {
+        const real large[N * N] = {-1e6 + 1e-3, 0, 0, 0, 1, 0, 0, 0, 1}, rigid[N] = {1e-6, 2, 0.5};
+        LAW("of numbers of any size", mbs_stages_soften(&s, large, rigid, held, 1e-8) == -1);
+    }
     return broken > 0;
 }
