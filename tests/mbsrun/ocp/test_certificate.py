@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -90,3 +92,91 @@ def test_multipliers_of_bounds_on_either_side_balance_the_cost() -> None:
     at = certify_motion(problem, Solver(problem, plant), found.trajectory)
     assert at.active > 0
     assert at.stationarity < 1e-3 * at.gradient  # bounds that are hardly met lie beyond the distance of near ones
+
+
+def test_conditions_of_a_known_minimum_hold_with_the_multipliers_of_equations_and_bounds() -> None:
+    """Minimise x + 3 y such that x + y = 1, y >= 0: grad f + J' lam - z = 0; beside it, what is left is named."""
+    hessians: list[tuple[list[float], list[float]]] = []
+
+    def note(lam: np.ndarray, z: np.ndarray) -> sparse.csc_array:
+        hessians.append((lam.tolist(), z.tolist()))
+        return sparse.csc_array(np.eye(2))
+
+    own = dataclasses.replace(point([1, 3], [[1, 1]], [[0, 1]]), distances=np.array([-0.25]), violation=0.5)
+    found = certify(own, note)
+    assert found.stationarity == pytest.approx(0, abs=1e-12)
+    assert (found.gradient, found.violation, found.active) == (3.0, 0.5, 1)
+    assert found.complementarity == pytest.approx(2 * 0.25)
+    ((lam, z),) = hessians
+    assert (lam, z) == (pytest.approx([-1]), pytest.approx([2]))
+    assert certify(point([1, 3], [[1, 0]], []), note).stationarity == pytest.approx(3.0)
+
+
+class Wrapped:
+    """A number of CasADi: dense or sparse."""
+
+    def __init__(self, values: object) -> None:
+        self.values = np.array(values, dtype=float)
+
+    def full(self) -> np.ndarray:
+        return self.values
+
+    def sparse(self) -> sparse.csc_array:
+        return sparse.csc_array(self.values)
+
+
+def test_rows_of_ranges_have_multipliers_with_the_signs_of_their_sides() -> None:
+    """Minimise -x + 2 y + (x^2 + y^2)/2 with x + y <= 1 met, x - y >= 1 met, x <= 9 far, at (1, 0); costs over 4.
+
+    grad f = (0, 2)/4 = z_1 (-1, -1) + z_2 (1, -1) has no z >= 0; with -2 y in place of 2 y, z_1 = z_2 = 1/4.
+    """
+    seen: list[np.ndarray] = []
+
+    def hessian(_: object, __: object, scale: float, multipliers: np.ndarray) -> Wrapped:
+        assert scale == 0.25
+        seen.append(multipliers)
+        return Wrapped([[1.0, 0.5], [0.0, 1.0]])
+
+    for slope, left, rows in ((2.0, 0.5, [0.0, 0.0, 0.0]), (-2.0, 0.0, [0.25, -0.25, 0.0])):
+        functions = SimpleNamespace(
+            constraint=lambda *_: Wrapped([[1.0], [1.0], [5.0]]),
+            jacobian=lambda *_: Wrapped([[1.0, 1.0], [1.0, -1.0], [0.0, 2.0]]),
+            gradient=lambda *_, slope=slope: (None, Wrapped([[0.0], [slope]])),
+            hessian=hessian,
+        )
+        transcription = SimpleNamespace(
+            pack=lambda _: np.array([1.0, 0.0]),
+            parameters=lambda _: None,
+            variable_bounds=lambda _: (np.full(2, -np.inf), np.array([9.0, np.inf])),
+            constraint_bounds=lambda _: (np.array([-np.inf, 1.0, 0.0]), np.array([1.0, np.inf, 9.0])),
+        )
+        solver: Any = SimpleNamespace(transcription=transcription, program=SimpleNamespace(casadi=functions))
+        problem: Any = SimpleNamespace(cost=SimpleNamespace(weights=(1.0, -4.0)))
+        found = certify_motion(problem, solver, None)  # type: ignore[arg-type]
+        assert found.stationarity == pytest.approx(left, abs=1e-12)
+        assert found.active == np.count_nonzero(rows)
+        assert seen.pop() == pytest.approx(np.array(rows), abs=1e-12)
+        assert found.violation == 0.0
+
+
+def test_equations_have_multipliers_of_any_sign_and_violations_are_the_largest() -> None:
+    """x - y = 1, violated by 0.5 at (1.5, 0), with a bound on y that is violated by 0.25."""
+    seen: list[np.ndarray] = []
+    functions = SimpleNamespace(
+        constraint=lambda *_: Wrapped([[1.5]]),
+        jacobian=lambda *_: Wrapped([[1.0, -1.0]]),
+        gradient=lambda *_: (None, Wrapped([[3.0], [-3.0]])),
+        hessian=lambda *given: (seen.append(given[3]), Wrapped(np.eye(2)))[1],
+    )
+    transcription = SimpleNamespace(
+        pack=lambda _: np.array([1.5, 0.0]),
+        parameters=lambda _: None,
+        variable_bounds=lambda _: (np.array([-9.0, 0.25]), np.array([9.0, 9.0])),
+        constraint_bounds=lambda _: (np.ones(1), np.ones(1)),
+    )
+    solver: Any = SimpleNamespace(transcription=transcription, program=SimpleNamespace(casadi=functions))
+    problem: Any = SimpleNamespace(cost=SimpleNamespace(weights=(1.0,)))
+    found = certify_motion(problem, solver, None)  # type: ignore[arg-type]
+    assert found.stationarity == pytest.approx(0, abs=1e-9)
+    assert (found.violation, found.gradient) == (0.5, 3.0)
+    assert seen[0] == pytest.approx([-3.0])

@@ -44,3 +44,53 @@ def test_a_step_that_violates_another_row_is_not_taken() -> None:
     """Towards the sphere from within, the first entry would grow by 1e-5 beyond its range."""
     x = np.array([1 - 1e-5, 0.0, 0.0])
     assert polish(x, _on_sphere(rows=x[0]), 1e-6) is x
+
+
+def solve_for(x: list[float], rows: list[float], right: list[float], most: float = 1.0, **given: Array) -> Array:
+    """Polish the linear equations with these rows, in x of some size."""
+    J, g = np.array([rows]), np.array(right)
+    lower, upper = given.get("lower", np.full(len(x), -np.inf)), given.get("upper", np.full(len(x), np.inf))
+    own = Equations(lambda x: J @ x, lambda _: sparse.csc_array(J), (g, g), (lower, upper))
+    return polish(np.array(x), own, most)
+
+
+def test_equations_with_a_right_side_are_met_by_the_shortest_step() -> None:
+    """x0 + x1 = 7: each moves by its size squared, (1, 9)/10 of what is missing; sizes are 1 at least."""
+    assert solve_for([0.5, 3.0], [1.0, 1.0], [7.0], most=10.0) == pytest.approx([0.85, 6.15], abs=1e-12)
+    assert solve_for([0.5, -3.0], [1.0, 1.0], [-7.0], most=10.0) == pytest.approx([0.05, -7.05], abs=1e-12)
+
+
+def test_a_step_that_lowers_no_residual_is_not_taken() -> None:
+    """Exact already, or with a slope of the wrong sign."""
+    exact = np.array([3.0, 4.0])
+    own = Equations(
+        lambda x: x[:1] + x[1:], lambda _: sparse.csc_array([[1.0, 1.0]]), (np.array([7.0]),) * 2, (-NONE[:2], NONE[:2])
+    )
+    assert polish(exact, own, 1.0) is exact
+    wrong = Equations(own.evaluate, lambda _: sparse.csc_array([[-1.0, -1.0]]), own.rows, own.variables)
+    beside = np.array([3.0, 4.001])
+    assert polish(beside, wrong, 1.0) is beside
+    none = Equations(own.evaluate, lambda _: sparse.csc_array([[0.0, 0.0]]), own.rows, own.variables)
+    assert polish(beside, none, 1.0) is beside
+
+
+@pytest.mark.parametrize(("rows", "stays"), [(60, False), (61, True)])
+def test_variables_of_more_than_sixty_rows_stay(rows: int, *, stays: bool) -> None:
+    """x_k + T = 1 for all k: each x_k moves, and T, of so many rows, does not."""
+    J = np.hstack((np.eye(rows), np.ones((rows, 1))))
+    ones = np.ones(rows)
+    free = np.full(rows + 1, -np.inf), np.full(rows + 1, np.inf)
+    own = Equations(lambda x: J @ x, lambda _: sparse.csc_array(J), (ones, ones), free)
+    x = np.append(np.full(rows, 0.25), 0.5)
+    moved = polish(x, own, 1.0)
+    assert bool(moved[-1] == 0.5) is stays
+    assert J @ moved == pytest.approx(ones, abs=1e-10)
+
+
+def test_a_variable_is_at_its_bound_within_a_millionth_of_its_size() -> None:
+    for x, off, stays in ((2.0, 1.9e-6, True), (2.0, 2.1e-6, False), (0.5, 0.9e-6, True), (0.5, 1.1e-6, False)):
+        for lower, upper in ((x - off, np.inf), (-np.inf, x + off)):
+            limits = {"lower": np.array([lower, -np.inf]), "upper": np.array([upper, np.inf])}
+            moved = solve_for([x, 1.0], [1.0, 1.0], [x + 1.0 + 1e-8], **limits)
+            assert bool(moved[0] == x) is stays
+            assert moved.sum() == pytest.approx(x + 1.0 + 1e-8, abs=1e-12)
