@@ -15,7 +15,7 @@ from mbsrun.ocp.solving import fixing
 from mbsrun.ocp.solving.fixing import fix_numbers, list_numbers
 from tests.mbsrun.ocp.plants import push
 
-UNKNOWNS = (Unknown("length", 1.0), Unknown("gain", 2.0), Unknown("mass", 3.0))
+UNKNOWNS = (*(Unknown(name, (0.0, 99.0), 1.0) for name in ("length", "gain", "mass")),)
 PROBLEM = replace(
     push(2),
     unknowns=UNKNOWNS,
@@ -44,7 +44,12 @@ def solved(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     seen: list[Any] = []
     motion = Motion(np.array([10.0, 20.0, 30.0]), np.array([[1.0], [8.0]]), np.array([[2.0], [8.0]]))
     outcome = SimpleNamespace(trajectory=motion)
-    monkeypatch.setattr(fixing, "solve", lambda problem, _, guess: (seen.append((problem, guess)), outcome)[1])
+
+    def solve(problem: Any, _: Any, guess: Any) -> Any:
+        seen.append((problem, guess))
+        return outcome
+
+    monkeypatch.setattr(fixing, "solve", solve)
     monkeypatch.setattr(fixing, "equip", lambda _, problem: ("equipped", problem.parameters))
     return seen
 
@@ -59,7 +64,7 @@ def test_a_problem_without_such_numbers_is_not_solved(solved: list[Any]) -> None
     found = fix_numbers(PROBLEM, make_plant("other"), guess)
     assert not isinstance(found, Failure)
     assert (found.problem, found.guess, found.numbers, solved) == (PROBLEM, guess, {}, [])
-    assert found.plant == ("equipped", PROBLEM.parameters)  # type: ignore[comparison-overlap]
+    assert found.plant == ("equipped", PROBLEM.parameters)
 
 
 def test_found_numbers_become_parameters_and_constants(solved: list[Any]) -> None:
@@ -76,7 +81,7 @@ def test_found_numbers_become_parameters_and_constants(solved: list[Any]) -> Non
         assert found.problem.start_q == PROBLEM.start_q
         assert found.guess is not None
         assert found.guess.unknowns.tolist() == [20.0]
-        assert found.plant == ("equipped", found.problem.parameters)  # type: ignore[comparison-overlap]
+        assert found.plant == ("equipped", found.problem.parameters)
     assert solved == [(PROBLEM, guess)] * 2
 
 

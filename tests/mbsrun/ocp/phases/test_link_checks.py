@@ -65,7 +65,7 @@ def test_methods_of_c_take_no_expressions_of_casadi_and_threads_are_theirs_alone
         ("ipopt", 2, ["solver.threads"]),
         ("ipopt", 1, []),
     ):
-        found = _check_whole(make(solver=SolverOptions(method=method, threads=threads)))  # type: ignore[arg-type]
+        found = _check_whole(make(solver=SolverOptions(method=method, threads=threads)))
         assert [show(x)[0] for x in found] == places
 
 
@@ -102,7 +102,7 @@ def test_faults_of_phases_come_before_faults_of_links() -> None:
 
 
 def check_map(given: dict[str, str | None], before: Any, after: Any, **more: Any) -> list[tuple[str, str, str]]:
-    own = _Link(make(link(), constants=(("k", 1.0),), unknowns=(Unknown("n", 0.0),)), Plants(SAME), 0)
+    own = _Link(make(link(), constants=(("k", 1.0),), unknowns=(Unknown("n", (0.0, 9.0), 1.0),)), Plants(SAME), 0)
     found = own.check_map(("map",), tuple(given.items()), before.manifest, after.manifest, **more)
     return list(map(show, found))
 

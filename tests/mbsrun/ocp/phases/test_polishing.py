@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy import sparse
@@ -46,11 +48,11 @@ def test_a_step_that_violates_another_row_is_not_taken() -> None:
     assert polish(x, _on_sphere(rows=x[0]), 1e-6) is x
 
 
-def solve_for(x: list[float], rows: list[float], right: list[float], most: float = 1.0, **given: Array) -> Array:
+def solve_for(x: list[float], rows: list[float], right: list[float], most: float = 1.0, limits: Any = None) -> Array:
     """Polish the linear equations with these rows, in x of some size."""
     J, g = np.array([rows]), np.array(right)
-    lower, upper = given.get("lower", np.full(len(x), -np.inf)), given.get("upper", np.full(len(x), np.inf))
-    own = Equations(lambda x: J @ x, lambda _: sparse.csc_array(J), (g, g), (lower, upper))
+    free = np.full(len(x), -np.inf), np.full(len(x), np.inf)
+    own = Equations(lambda x: J @ x, lambda _: sparse.csc_array(J), (g, g), limits or free)
     return polish(np.array(x), own, most)
 
 
@@ -90,7 +92,7 @@ def test_variables_of_more_than_sixty_rows_stay(rows: int, *, stays: bool) -> No
 def test_a_variable_is_at_its_bound_within_a_millionth_of_its_size() -> None:
     for x, off, stays in ((2.0, 1.9e-6, True), (2.0, 2.1e-6, False), (0.5, 0.9e-6, True), (0.5, 1.1e-6, False)):
         for lower, upper in ((x - off, np.inf), (-np.inf, x + off)):
-            limits = {"lower": np.array([lower, -np.inf]), "upper": np.array([upper, np.inf])}
-            moved = solve_for([x, 1.0], [1.0, 1.0], [x + 1.0 + 1e-8], **limits)
+            limits = np.array([lower, -np.inf]), np.array([upper, np.inf])
+            moved = solve_for([x, 1.0], [1.0, 1.0], [x + 1.0 + 1e-8], limits=limits)
             assert bool(moved[0] == x) is stays
             assert moved.sum() == pytest.approx(x + 1.0 + 1e-8, abs=1e-12)
