@@ -57,7 +57,7 @@ def solve_for(x: list[float], rows: list[float], right: list[float], most: float
 
 
 def test_equations_with_a_right_side_are_met_by_the_shortest_step() -> None:
-    """x0 + x1 = 7: each moves by its size squared, (1, 9)/10 of what is missing; sizes are 1 at least."""
+    """x0 + x1 = 7: each takes the part of its size squared, 1 and 9 tenths; sizes are 1 at least."""
     assert solve_for([0.5, 3.0], [1.0, 1.0], [7.0], most=10.0) == pytest.approx([0.85, 6.15], abs=1e-12)
     assert solve_for([0.5, -3.0], [1.0, 1.0], [-7.0], most=10.0) == pytest.approx([0.05, -7.05], abs=1e-12)
 
@@ -78,7 +78,7 @@ def test_a_step_that_lowers_no_residual_is_not_taken() -> None:
 
 @pytest.mark.parametrize(("rows", "stays"), [(60, False), (61, True)])
 def test_variables_of_more_than_sixty_rows_stay(rows: int, *, stays: bool) -> None:
-    """x_k + T = 1 for all k: each x_k moves, and T, of so many rows, does not."""
+    """x_k + T = 1 for all k: each x_k moves, and T does not where its rows are more than 60."""
     J = np.hstack((np.eye(rows), np.ones((rows, 1))))
     ones = np.ones(rows)
     free = np.full(rows + 1, -np.inf), np.full(rows + 1, np.inf)
