@@ -3,7 +3,8 @@
 It reads JSON from stdin: `file`, and `states` of coordinates `q`, speeds `u` and accelerations `udot` by name, and of
 `controls`, a list for each actuator that is no muscle. It
 prints JSON: `names` of coordinates; for each state `M` and `tau` in their order, `bodies` and `markers` by their places
-in the ground, and `paths`: lengths, rates and moment arms of all muscles and springs. Forces act only if they are
+in the ground, and `paths`: lengths, rates and moment arms of all muscles and springs. Paths around ellipsoids and tori
+have `changes`, differences of their lengths along speeds, which are not OpenSim's rates. Forces act only if they are
 passive ones of coordinates, contacts, ligaments, bushings, forces between two points, or actuators of bodies: `acting`
 lists these, without forces of coordinates and contacts.
 """
@@ -33,6 +34,8 @@ LINES = (
 CONTACTS = ("SmoothSphereHalfSpaceForce", "HuntCrossleyForce")
 ACTING = ("SpringGeneralizedForce", "CoordinateLimitForce", "ExpressionBasedCoordinateForce", *CONTACTS, *LINES)
 ALONG = ("Muscle", "PathSpring", "PathActuator", "Ligament", "Blankevoort1991Ligament")
+SHAPES = ("WrapEllipsoid", "WrapTorus")
+STEP = 1e-4  # s, of differences of lengths: OpenSim's have jumps of 1e-7 m
 FAR = 1e-3  # rad or m: beside this, a coordinate that a coupling moves is at another place
 
 
@@ -107,14 +110,28 @@ class Peer:
         """Return the length of a path, its rate, and its rate along other speeds."""
         path, model = self.osim.GeometryPath.safeDownCast(force.getPath()), self.model
         length, rate = path.getLength(self.state), path.getLengtheningSpeed(self.state)
-        slopes = []
+        wraps = path.getWrapSet()
+        shaped = any(wraps.get(k).getWrapObject().getConcreteClassName() in SHAPES for k in range(wraps.getSize()))
+        slopes, changes = [], []
         for speeds in along:
             state = self.osim.State(self.state)
             for name, place in zip(self.coordinates, self.places):  # noqa: B905
                 state.updU()[place] = speeds.get(name, 0.0)
             model.realizeVelocity(state)
             slopes.append(path.getLengtheningSpeed(state))
-        return {"length": length, "rate": rate, "slopes": slopes}
+            if shaped:
+                ends = [self._move(path, state, sign * STEP) for sign in (1, -1)]
+                changes.append((ends[0] - ends[1]) / (2 * STEP))
+        found = {"length": length, "rate": rate, "slopes": slopes}
+        return {**found, "changes": changes} if shaped else found
+
+    def _move(self, path: Any, state: Any, time: float) -> float:
+        """Return the length of a path after a time at the speeds of a state."""
+        moved = self.osim.State(state)
+        for k in range(state.getNQ()):
+            moved.updQ()[k] = state.getQ()[k] + time * state.getQDot()[k]
+        self.model.realizePosition(moved)
+        return float(path.getLength(moved))
 
 
 def _list(found: Any) -> list[tuple[str, Any]]:

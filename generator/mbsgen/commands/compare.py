@@ -38,7 +38,7 @@ def compare_command(model: Path, peer: str, states: int | None, choices: Choices
 
 
 def _compare_with_opensim(model: Path, choices: Choices, states: int | None) -> None:
-    from mbsgen.osim_comparison import AROUND, NEAR, STATES, TOLERANCE, compare_with_opensim
+    from mbsgen.osim_comparison import AROUND, NEAR, SHAPED, STATES, TOLERANCE, compare_with_opensim
 
     if model.suffix.lower() != ".osim":
         raise click.UsageError(f"{model}: files of OpenSim are compared with opensim")
@@ -50,7 +50,8 @@ def _compare_with_opensim(model: Path, choices: Choices, states: int | None) -> 
     for name in found.absent:
         click.echo(f"{name}: not in the model")
     if not found.agrees:
-        around = f", or by {NEAR:g} around cylinders" if any(AROUND in name for name in found.misses) else ""
+        seen = any(name.endswith((AROUND, SHAPED)) for name in found.misses)
+        around = f", or by {NEAR:g} around cylinders, ellipsoids and tori" if seen else ""
         click.echo(f"the models differ by more than {TOLERANCE:g}{around}", err=True)
         sys.exit(DIFFERENT)
 

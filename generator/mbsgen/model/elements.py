@@ -7,8 +7,8 @@ the opposite. A spring and damper has
 
 Through further points of bodies, or moving ones, its length is the sum of the distances from each point to the next,
 and T pulls along each of these lines. Around surfaces, T is along the derivatives of the length by the points on both
-sides, and its reaction presses on the surface; see `mbsgen.model.wrapping`. A muscle has the tension of
-`mbsgen.model.muscles`.
+sides, and its reaction presses on the surface; see `mbsgen.model.wrapping`, `mbsgen.model.wrapping_shapes`. A muscle
+has the tension of `mbsgen.model.muscles`.
 
 Its direction d/length does not exist where the points meet: kernels then fail, with a status of the element. A spring
 of length 0 at rest, without anything else, has the force stiffness d, which needs no direction.
@@ -72,7 +72,7 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import combinations
 
-from sympy import DiracDelta, Expr, Integer, Mul, Symbol, asin, sign, sqrt
+from sympy import Expr, Integer, Mul, Symbol, asin, sign, sqrt
 
 from mbsgen.expressions import Expression, Name, names, parse
 from mbsgen.model import model
@@ -81,6 +81,7 @@ from mbsgen.model.contact_laws import SphereLaw
 from mbsgen.model.model import LENGTH, LENGTH_RATE, Block, Capsule, Contact, ForceElement, Sphere, Stop, press
 from mbsgen.model.quantities import name_lengths
 from mbsgen.model.slips import name_slip
+from mbsgen.model.steps import differentiate
 from mbsgen.model.symbols import total
 from mbsgen.model.tree import (
     IDENTITY,
@@ -100,6 +101,7 @@ from mbsgen.model.tree import (
 from mbsgen.model.triples import add, cross, dot, scale, subtract
 from mbsgen.model.tyres import LATERAL, LONGITUDINAL, Tyre
 from mbsgen.model.wrapping import Round, Turn, holds, make_turn
+from mbsgen.model.wrapping_shapes import Shape, make_shaped_turn
 
 POWERS = (1.0, 1.5, 2.0, 2.5, 3.0)  # exponents of a depth
 Read = Callable[[Expression, Mapping[str, Expr]], Expr]  # an expression of a Model, given further names
@@ -167,7 +169,7 @@ class _Seen:
 
 @dataclass(frozen=True)
 class Surface:
-    """A cylinder or a sphere around which the line of a force element wraps between two of its points."""
+    """A surface around which the line of a force element wraps between two of its points; round, if without a shape."""
 
     anchor: Anchor  # its centre
     axis: Vector | None  # of a cylinder, of length 1, in the frame of that body; None: a sphere
@@ -176,6 +178,8 @@ class Surface:
     half: Expr | None  # of the length of a cylinder; None: no ends
     first: int
     last: int
+    shape: Shape | None = None  # along its axes; None: a cylinder or a sphere
+    axes: tuple[Vector, ...] = ()  # of the shape, in the frame of that body
 
     def covers(self, first: int, last: int) -> bool:
         """Return whether the line may wrap between two points."""
@@ -423,6 +427,10 @@ class Loads:
             None if x is None else self._probe(name, f"{key} {k}", Reading.DIRECTION, Anchor(surface.anchor.body, x))
             for k, x in (("axis", surface.axis), ("side", surface.side))
         )
+        axes = [
+            self._probe(name, f"{key} {k}", Reading.DIRECTION, Anchor(surface.anchor.body, x))
+            for k, x in zip("xyz"[: len(surface.axes)], surface.axes, strict=True)
+        ]
         body = Round(surface.radius, axis, surface.half, side)
         covered = [x for x in parts if surface.covers(*x.span)]
         ways = list[tuple[_Part, tuple[Vector, Vector], Turn]]()
@@ -432,7 +440,12 @@ class Loads:
                 self._define_vector(name, f"{own} {k}", subtract(x.place, c))
                 for k, x in (("from", part.a), ("to", part.b))
             )
-            turn = make_turn(body, a, b, partial(self._define_within, name, own))
+            define = partial(self._define_within, name, own)
+            turn = (
+                make_turn(body, a, b, define)
+                if surface.shape is None
+                else make_shaped_turn(surface.shape, axes, a, b, define)
+            )
             ways.append((part, (a, b), turn))
         must, may = ([part.weight * getattr(turn, k) for part, _, turn in ways] for k in ("must", "may"))
         longer = [turn.length - part.size for part, _, turn in ways]
@@ -477,7 +490,7 @@ class Loads:
         spin = self._probe(name, f"w{k}", Reading.SPIN, anchor)
         velocity, moves = add(v, cross(spin, arm)), []
         for j, (coordinate, rate, joint) in enumerate(spot.coordinates):
-            slopes = [_differentiate(x, coordinate) for x in spot.shift]
+            slopes = [differentiate(x, coordinate) for x in spot.shift]
             if any(slopes):
                 way = self._define_vector(name, f"way{k}_{j}", _combine(slopes, axes))
                 velocity = add(velocity, scale(rate, way))
@@ -538,7 +551,7 @@ class Loads:
         quantity = self._read(stop.quantity, {key: line.length for key, line in lines.items()})
         value = self._note(name, "value", quantity)
         slopes = {
-            symbol: self._note(name, f"by {symbol}", _differentiate(quantity, symbol))
+            symbol: self._note(name, f"by {symbol}", differentiate(quantity, symbol))
             for symbol in (*(x.symbol for x in sights), *(line.length for line in read.values()))
             if quantity.has(symbol)
         }
@@ -808,11 +821,6 @@ def list_end_symbols(name: str) -> tuple[Symbol, Symbol]:
 
 def _symbolize(name: str, key: str, reading: Reading, axis: str) -> Symbol:
     return Symbol(f"force[{name}] {key} {reading.value}.{axis}", real=True)
-
-
-def _differentiate(x: Expr, symbol: Symbol) -> Expr:
-    """Differentiate a number; at a jump, which no number of a file has, its slope is taken as that beside it."""
-    return x.diff(symbol).replace(DiracDelta, lambda *_: ZERO)
 
 
 def _vector(components: Iterable[Expr]) -> Vector:

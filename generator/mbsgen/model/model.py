@@ -353,17 +353,36 @@ class Cable:
     dissipation: Expression = ZERO  # by which part of itself the tension grows with the rate [s/m]
 
 
+SIZES = {  # of surfaces around which lines wrap, in order
+    "cylinder": ("radius",),
+    "sphere": ("radius",),
+    "ellipsoid": ("x", "y", "z"),
+    "torus": ("radius", "tube"),
+}
+
+
 @dataclass(frozen=True)
 class Wrap:
-    """A cylinder or a sphere on a body, or on the base, around which the line of a force element wraps."""
+    """A surface on a body, or on the base, around which the line of a force element wraps."""
 
-    radius: Expression  # [m]
+    size: tuple[Expression, ...]  # radius; of a torus, of its ring and its tube; half axes of an ellipsoid [m]
     body: str = BASE
-    placement: Placement = HERE  # of its centre and its axes, in the body's frame; a cylinder is about its z axis
-    is_sphere: bool = False
+    placement: Placement = HERE  # of its centre and axes, in the body's frame; a cylinder and a torus are about z
+    kind: str = "cylinder"  # sphere, ellipsoid, torus
     length: Expression | None = None  # of a cylinder [m]; None: no ends
     side: str = ""  # x, -x, y, ...: the half on which the line stays; "": the nearer way
     between: tuple[int, int] | None = None  # points of the line, from 1; None: all
+    method: str = "hybrid"  # by which an ellipsoid finds its plane
+
+    @property
+    def axial(self) -> bool:
+        """Return whether it is the same all around z."""
+        return self.kind in ("cylinder", "torus")
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """Return the names of its sizes."""
+        return SIZES[self.kind]
 
     def span(self, points: int) -> tuple[int, int]:
         """Return the first and the last of some points between which the line may wrap, from 0."""

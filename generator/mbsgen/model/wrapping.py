@@ -77,12 +77,13 @@ class _Turn:
                 self._vector("a", subtract(a, scale(za, n))),
                 self._vector("b", subtract(b, scale(zb, n))),
             )
-        squares = [define(f"square_{k}", dot(x, x)) for k, x in zip("ab", self._points, strict=True)]
-        self._out = define("out", holds(squares[0] - r**2) * holds(squares[1] - r**2))
-        self._squares = [define(f"far_{k}", (x + r**2 + Abs(x - r**2)) / 2) for k, x in zip("ab", squares, strict=True)]
-        self._tangents = [
-            define(f"t{k}", sqrt(x - r**2 + _TINY * r**2)) for k, x in zip("ab", self._squares, strict=True)
-        ]
+        powers = [define(f"power_{k}", dot(x, x) - r**2) for k, x in zip("ab", self._points, strict=True)]
+        outside = [define(f"outside_{k}", holds(x)) for k, x in zip("ab", powers, strict=True)]
+        self._out = define("out", outside[0] * outside[1])
+        # 0 inside: a sum would lose what keeps the root above 0, and its slope would be infinite
+        beyond = [define(f"beyond_{k}", w * x) for k, w, x in zip("ab", outside, powers, strict=True)]
+        self._squares = [define(f"far_{k}", r**2 + x) for k, x in zip("ab", beyond, strict=True)]
+        self._tangents = [define(f"t{k}", sqrt(x + _TINY * r**2)) for k, x in zip("ab", beyond, strict=True)]
         self._around = [self._vector(f"n{k}", cross(self._n, x)) for k, x in zip("ab", self._points, strict=True)]
 
     def make(self) -> Turn:

@@ -288,9 +288,14 @@ def _write_element(element: ForceElement) -> Mapped:
 
 
 def _write_wrap(wrap: Wrap) -> Mapped:
-    content: Mapped = {"type": "sphere" if wrap.is_sphere else "cylinder", "body": _quote(wrap.body)}
+    content: Mapped = {"type": wrap.kind, "body": _quote(wrap.body)}
     content |= _write_placement(wrap.placement)
-    content["radius"] = _write_number(wrap.radius)
+    sizes = [_write_number(x) for x in wrap.size]
+    if wrap.kind == "ellipsoid":
+        content["radii"] = sizes
+        content |= {} if wrap.method == "hybrid" else {"method": wrap.method}
+    else:
+        content |= dict(zip(wrap.keys, sizes, strict=True))
     if wrap.length is not None:
         content["length"] = _write_number(wrap.length)
     if wrap.side:

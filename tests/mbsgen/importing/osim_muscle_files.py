@@ -92,9 +92,9 @@ def surface(kind: str, name: str, place: str, turn: str = "0 0 0", quadrant: str
     )
 
 
-def around(name: str, span: str = "-1 -1") -> str:
+def around(name: str, span: str = "-1 -1", method: str = "hybrid") -> str:
     return (
-        f'<PathWrap name="w"><wrap_object>{name}</wrap_object><method>hybrid</method><range>{span}</range></PathWrap>'
+        f'<PathWrap name="w"><wrap_object>{name}</wrap_object><method>{method}</method><range>{span}</range></PathWrap>'
     )
 
 
@@ -132,3 +132,40 @@ def write_wrapped() -> str:
 
 
 CASES["wrapped"] = write_wrapped()
+
+
+def shape(kind: str, name: str, place: str, turn: str, quadrant: str = "all", **sizes: str) -> str:
+    return (
+        f'<{kind} name="{name}"><active>true</active><translation>{place}</translation><xyz_body_rotation>{turn}'
+        f"</xyz_body_rotation><quadrant>{quadrant}</quadrant>{numbers(**sizes)}</{kind}>"
+    )
+
+
+def write_shaped() -> str:
+    """Write a spatial leg with springs around ellipsoids by all methods, and through tori."""
+    spatial = {"outer": ("0 -0.4 0", "0.3 0.1 0"), "inner": ("0 0 0", "0 0.2 0")}
+    links = (Link("thigh", coordinates=("hip",), **spatial), Link("shank", "PinJoint", "thigh", ("knee",), **spatial))
+    eggs = {"egg": "all", "behind": "-x"}
+    rings = {"ring": "all", "half": "x"}
+    shapes = "".join(
+        shape("WrapEllipsoid", name, "0.01 -0.4 0.02", "0.3 0.2 0.1", side, dimensions="0.1 0.07 0.12")
+        for name, side in eggs.items()
+    ) + "".join(
+        shape("WrapTorus", name, "0.02 -0.38 0.03", "1.5 0.1 0.2", side, inner_radius="0.02", outer_radius="0.06")
+        for name, side in rings.items()
+    )
+    begin, end = fixed("a", "thigh", "0.03 -0.12 0.02"), fixed("b", "shank", "0.02 -0.28 0.02")
+    far = fixed("c", "ground", "0.12 -0.2 0.02")
+    rows = (
+        *((f"{name}_{method}", begin + end, around(name, method=method)) for name in eggs for method in METHODS),
+        *((name, begin + end, around(name)) for name in rings),
+        ("three", far + begin + end, around("egg")),
+    )
+    springs = numbers(resting_length=0.3, stiffness=250, dissipation=0.1)
+    text = write_model(links, forces="".join(line("PathSpring", *row[:2], springs, row[2]) for row in rows))
+    head = '<Body name="thigh">'
+    return text.replace(head, f'{head}<WrapObjectSet name="wrapobjectset"><objects>{shapes}</objects></WrapObjectSet>')
+
+
+METHODS = ("hybrid", "midpoint", "axial")
+CASES["shaped"] = write_shaped()

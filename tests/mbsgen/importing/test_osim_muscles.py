@@ -18,18 +18,26 @@ from mbsgen.errors import InputError
 from mbsgen.expressions import Name, Number, write
 from mbsgen.importing import Choices, import_model, write_imported
 from mbsgen.model.reader import read_model
-from mbsgen.osim_comparison import AROUND, compare_with_opensim
+from mbsgen.osim_comparison import AROUND, PULLS, SHAPED, compare_with_opensim
 from tests import peers
 from tests.mbsgen.importing.osim_files import save, write_answers
 from tests.mbsgen.importing.osim_muscle_files import CASES, around
 
 PATHS = ("lengths", "rates", "arms")
-LINES = {"wrapped": ("front", "behind", "near", "ball", "cap", "three", "range", "two")}
+METHODS = ("hybrid", "midpoint", "axial")
+LINES = {
+    "shaped": (*(f"{x}_{k}" for x in ("egg", "behind") for k in METHODS), "ring", "half", "three"),
+    "wrapped": ("front", "behind", "near", "ball", "cap", "three", "range", "two"),
+}
 REFERENCE = Path(__file__).parents[2] / "reference" / "opensim_paths.json"
 ROUNDING = 1e-11  # relative: digits that cancel in the cubes of a knee's spline
 
 
-@pytest.mark.parametrize("name", CASES)
+SUMS = 1e-5  # relative: OpenSim adds chords of a millimetre of an ellipse
+CHANGES = 1e-3  # relative: differences of such sums
+
+
+@pytest.mark.parametrize("name", [x for x in CASES if x != "shaped"])
 def test_lengths_and_arms_are_opensims(name: str, tmp_path: Path) -> None:
     """Masses, forces, places, lengths, rates and arms at random states.
 
@@ -41,6 +49,18 @@ def test_lengths_and_arms_are_opensims(name: str, tmp_path: Path) -> None:
     assert not found.absent
     assert set(found.misses) - {x + AROUND for x in PATHS} == {"M", "tau", "places", *PATHS}
     assert max(found.misses.values()) < ROUNDING, found.misses
+
+
+def test_lengths_around_ellipsoids_and_tori_are_opensims(tmp_path: Path) -> None:
+    """By all methods, with sides and without; arms are the slopes of OpenSim's lengths, unlike OpenSim's own ones."""
+    answer = json.loads(REFERENCE.read_text("utf-8"))["shaped"]
+    found = compare_with_opensim(save(tmp_path, CASES["shaped"]), Choices(), lambda *_: answer)
+    assert found.agrees
+    assert found.lines == LINES["shaped"]
+    assert found.misses[f"lengths{SHAPED}"] < SUMS
+    assert found.misses[f"arms{SHAPED}"] < CHANGES
+    assert found.misses[PULLS] > CHANGES
+    assert max(found.misses[key] for key in ("M", "tau", "places")) < ROUNDING
 
 
 def test_the_reference_is_what_opensim_computes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -79,15 +99,15 @@ def test_muscles_are_written_and_read_again(tmp_path: Path) -> None:
 
 
 def test_a_path_around_what_is_not_read_is_left_out_with_a_warning(tmp_path: Path) -> None:
-    """An ellipsoid, a cylinder along whose axis the line stays, and two surfaces between the same points."""
+    """A surface of another kind, a cylinder along whose axis the line stays, two surfaces between the same points."""
     ball = around("ball")
     text = CASES["wrapped"].replace("<quadrant>-x<", "<quadrant>z<").replace(around("any", "2 3"), ball + ball)
-    text = text.replace('<WrapSphere name="cap"', '<WrapEllipsoid name="cap"')
-    text = text.replace("</WrapSphere></objects>", "</WrapEllipsoid></objects>")
+    text = text.replace('<WrapSphere name="cap"', '<WrapSphereObst name="cap"')
+    text = text.replace("</WrapSphere></objects>", "</WrapSphereObst></objects>")
     found = import_model(save(tmp_path, text))
     assert [x.name for x in found.model.forces] == ["front", "near", "ball", "three"]
     warned = [x.text for x in found.notices if x.alters and "its path wraps around" in x.text]
-    for part, count in (("a WrapEllipsoid", 2), ("a side along its axis", 1), ("between the same points", 1)):
+    for part, count in (("a WrapSphereObst", 2), ("a side along its axis", 1), ("between the same points", 1)):
         assert sum(part in x for x in warned) == count, warned
 
 
@@ -102,6 +122,26 @@ def test_a_path_around_what_is_not_read_is_left_out_with_a_warning(tmp_path: Pat
 )
 def test_a_faulty_surface_is_one_clear_error(old: str, new: str, wanted: str, tmp_path: Path) -> None:
     text = CASES["wrapped"]
+    assert old in text
+    with pytest.raises(InputError, match=re.escape(wanted)):
+        import_model(save(tmp_path, text.replace(old, new)))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "wanted"),
+    [
+        ("<dimensions>0.1 0.07 0.12<", "<dimensions>0.1 0.07<", "dimensions has 2 numbers"),
+        (
+            "<dimensions>0.1 0.07 0.12<",
+            "<dimensions>0.1 0 0.12<",
+            "a radius or a length of 0 or less; give more than 0",
+        ),
+        ("<outer_radius>0.06<", "<outer_radius>0.01<", "an outer_radius of 0.01; give more than 0.02"),
+        ("<method>midpoint<", "<method>middle<", 'a method "middle"; give hybrid, midpoint, axial'),
+    ],
+)
+def test_a_faulty_shape_is_one_clear_error(old: str, new: str, wanted: str, tmp_path: Path) -> None:
+    text = CASES["shaped"]
     assert old in text
     with pytest.raises(InputError, match=re.escape(wanted)):
         import_model(save(tmp_path, text.replace(old, new)))

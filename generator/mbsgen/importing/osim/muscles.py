@@ -66,7 +66,13 @@ POINT_SPRING, POINT_FORCE = "PointToPointSpring", "ExpressionBasedPointToPointFo
 POINT_ACTUATOR = "PointToPointActuator"
 PAIRS = (POINT_SPRING, POINT_FORCE, POINT_ACTUATOR)  # between two points
 POINTS = ("PathPoint", "ConditionalPathPoint", "MovingPathPoint")
-SURFACES = ("WrapCylinder", "WrapSphere")
+SURFACES: Mapping[str, str] = {
+    "WrapCylinder": "cylinder",
+    "WrapSphere": "sphere",
+    "WrapEllipsoid": "ellipsoid",
+    "WrapTorus": "torus",
+}
+_METHODS = ("hybrid", "midpoint", "axial")  # of an ellipsoid
 SIDES = ("x", "-x", "y", "-y", "z", "-z")
 WIDENING = 1e-5  # of the range of a point, rad or m
 _AXES = "xyz"
@@ -153,10 +159,12 @@ class Surface:
     """A surface around which a path wraps."""
 
     mount: Mount
-    radius: float
-    length: float | None  # of a cylinder; None: a sphere
+    kind: str
+    size: tuple[float, ...]
+    length: float | None  # of a cylinder
     side: str
     between: tuple[int, int]  # points, from 1
+    method: str  # of an ellipsoid
 
 
 @dataclass(frozen=True, eq=False)
@@ -258,7 +266,8 @@ class Paths:
         side = _read_side(surface)
         if surface.tag not in SURFACES:
             return f"a {surface.tag}"
-        return "with a side along its axis" if surface.tag == "WrapCylinder" and side.endswith("z") else ""
+        is_axial = SURFACES[surface.tag] in ("cylinder", "torus")
+        return "with a side along its axis" if is_axial and side.endswith("z") else ""
 
     def _read_surface(self, given: Element, surface: Element, mount: Mount, points: int) -> Surface | None:
         """Read a surface between points of a path; None with a fault."""
@@ -268,19 +277,36 @@ class Paths:
             drawn = self.findings.numbers(bounds, "range", drawn, attributes={"range": bounds.text})
         first, last = (int(x) if x >= 1 else end for x, end in zip(drawn, (1, points), strict=True))
         side = _read_side(surface)
-        radius = self._number(surface, "radius", 1.0)
-        length = None if surface.tag == "WrapSphere" else self._number(surface, "length", 1.0)
+        kind, method = SURFACES[surface.tag], _read_text(given, "method").lower() or _METHODS[0]
+        size = self._read_size(surface)
+        length = self._number(surface, "length", 1.0) if kind == "cylinder" else None
         if not first < last <= points:
             remedy = "give the numbers of two of its points, from 1, in order"
             self.findings.fault(given, f"a range from point {first} to {last} of {points}", remedy)
         elif side and side not in SIDES:
             self.findings.fault(surface, f"a quadrant {abbreviate(side)}", f"give all, {', '.join(SIDES)}")
-        elif radius <= 0 or (length is not None and length <= 0):
+        elif min(size) <= 0 or (length is not None and length <= 0):
             self.findings.fault(surface, "a radius or a length of 0 or less", "give more than 0")
+        elif kind == "torus" and size[0] <= size[1]:
+            self.findings.fault(surface, f"an outer_radius of {size[0]:g}", f"give more than {size[1]:g}")
+        elif kind == "ellipsoid" and method not in _METHODS:
+            self.findings.fault(given, f"a method {abbreviate(method)}", f"give {', '.join(_METHODS)}")
         else:
             pose = self.frames.read_pose(surface, "translation", "xyz_body_rotation")
-            return Surface(replace(mount, pose=mount.pose @ pose), radius, length, side, (first, last))
+            seat = replace(mount, pose=mount.pose @ pose)
+            return Surface(seat, kind, size, length, side, (first, last), method)
         return None
+
+    def _read_size(self, surface: Element) -> tuple[float, ...]:
+        """Read the radius, both radii of a torus, or the half axes of an ellipsoid."""
+        if surface.tag == "WrapTorus":
+            return self._number(surface, "outer_radius", -1.0), self._number(surface, "inner_radius", -1.0)
+        if surface.tag != "WrapEllipsoid":
+            return (self._number(surface, "radius", 1.0),)
+        given, none = surface.first("dimensions"), (-1.0, -1.0, -1.0)
+        if given is None:
+            return none
+        return self.findings.numbers(given, "dimensions", none, attributes={"dimensions": given.text})
 
     def _read_point(self, element: Element) -> Point | None:
         if element.tag not in POINTS:

@@ -605,13 +605,14 @@ class _File:
             return None
         here = self._inner[surface.mount.body] @ surface.mount.pose
         return Wrap(
-            Number(surface.radius),
+            tuple(map(Number, surface.size)),
             self._own[surface.mount.body],
             self._draft.writer.placement(here),
-            surface.length is None,
+            surface.kind,
             None if surface.length is None else Number(surface.length),
             surface.side,
             None if len(inside) == len(numbers) else (inside[0], inside[-1]),
+            surface.method if surface.kind == "ellipsoid" else "hybrid",
         )
 
     def _make_point(self, line: Line, point: Point) -> PathPoint | None:

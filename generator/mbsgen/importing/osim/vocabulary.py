@@ -71,10 +71,11 @@ PLACES: dict[str, Place] = {
     "surfaces": place(read="@name objects=surfaces_in", idle="groups"),
     "surfaces_in": place(
         read=" ".join(f"{name}*=surface" for name in SURFACES),
-        idle="WrapEllipsoid WrapTorus WrapSphereObst WrapCylinderObst WrapDoubleCylinderObst",  # paths warn of them
+        idle="WrapSphereObst WrapCylinderObst WrapDoubleCylinderObst",  # paths warn of them
     ),
     "surface": place(
-        read="@name active=value xyz_body_rotation=value translation=value quadrant=value radius=value length=value",
+        read="@name active=value xyz_body_rotation=value translation=value quadrant=value radius=value length=value "
+        "dimensions=value inner_radius=value outer_radius=value",
         idle="VisibleObject Appearance color display_preference",
     ),
     "coordinates": place(read="@name objects=coordinates_in", idle="groups"),

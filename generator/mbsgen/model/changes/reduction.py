@@ -57,6 +57,9 @@ from mbsgen.model.tree import (
     coordinate_symbol,
     rate_symbol,
 )
+from mbsgen.model.wrapping_ellipsoid import Ellipsoid
+from mbsgen.model.wrapping_shapes import Shape
+from mbsgen.model.wrapping_torus import Torus
 
 
 def build_tree(description: Model, *, readable: bool = False) -> Tree:
@@ -617,16 +620,22 @@ def _make_spot(point: model.PathPoint, seat: _Seat, reader: _Reader, description
 
 def _make_surface(wrap: model.Wrap, seat: _Seat, reader: _Reader, points: int) -> Surface:
     at = seat.carry(wrap.placement, reader)
-    axes = _transpose(at.axes)
-    side = None
-    if wrap.side:
-        axis = axes["xyz".index(wrap.side[-1])]
-        side = _vector(-x for x in axis) if wrap.side[0] == "-" else axis
+    axes, size = _transpose(at.axes), [reader.number(x) for x in wrap.size]
+    number, sign = ("xyz".index(wrap.side[-1]), -1 if wrap.side[0] == "-" else 1) if wrap.side else (0, 0)
+    if wrap.kind in ("ellipsoid", "torus"):
+        shape: Shape
+        if wrap.kind == "ellipsoid":
+            shape = Ellipsoid(_vector(size), wrap.method, (number, sign) if sign else None)
+        else:
+            shape = Torus(size[0], size[1], _vector(sign * x for x in IDENTITY[number]) if sign else None)
+        anchor = Anchor(at.number, at.position)
+        return Surface(anchor, None, None, size[0], None, *wrap.span(points), shape, tuple(axes))
+    side = axes[number] if sign == 1 else _vector(-x for x in axes[number])
     return Surface(
         Anchor(at.number, at.position),
-        None if wrap.is_sphere else axes[2],
-        side,
-        reader.number(wrap.radius),
+        None if wrap.kind == "sphere" else axes[2],
+        side if sign else None,
+        size[0],
         None if wrap.length is None else reader.number(wrap.length) / 2,
         *wrap.span(points),
     )

@@ -296,7 +296,7 @@ class _Release:
     def _wrap(self, path: str, wrap: Wrap) -> Wrap:
         return replace(
             wrap,
-            radius=self._number(f"{path}.radius", wrap.radius),
+            size=tuple(self._number(f"{path}.{key}", x) for key, x in zip(wrap.keys, wrap.size, strict=True)),
             placement=self._placement(path, wrap.placement),
             length=wrap.length and self._number(f"{path}.length", wrap.length),
         )

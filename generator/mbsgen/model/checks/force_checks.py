@@ -183,13 +183,20 @@ def _check_wrap(
 ) -> Iterator[Finding]:
     """Find what is wrong with a surface around which a line of some points wraps."""
     valuation.placement(place, wrap.placement)
-    yield from _check_positive((*place, "radius"), wrap.radius, valuation)
+    for k, (key, size) in enumerate(zip(wrap.keys, wrap.size, strict=True)):
+        at = ("radii", k) if wrap.kind == "ellipsoid" else (key,)
+        yield from _check_positive((*place, *at), size, valuation)
+    if wrap.kind == "torus":
+        ring, tube = (valuation.number((*place, key), x) for key, x in zip(wrap.keys, wrap.size, strict=True))
+        if ring <= tube:
+            yield Finding((*place, "tube"), f"a tube of {tube:g} m in a ring of {ring:g} m", "give a thinner one")
     if wrap.length is not None:
         yield from _check_positive((*place, "length"), wrap.length, valuation)
-        if wrap.is_sphere:
-            yield Finding((*place, "length"), "the length of a sphere", "take it away, or give type: cylinder")
-    if wrap.side.endswith("z") and not wrap.is_sphere:
-        yield Finding((*place, "side"), "a side along the axis of a cylinder", "give x, -x, y or -y")
+        if wrap.kind != "cylinder":
+            finding = f"the length of {'an' if wrap.kind == 'ellipsoid' else 'a'} {wrap.kind}"
+            yield Finding((*place, "length"), finding, "take it away, or give type: cylinder")
+    if wrap.side.endswith("z") and wrap.axial:
+        yield Finding((*place, "side"), f"a side along the axis of a {wrap.kind}", "give x, -x, y or -y")
     first, last = wrap.span(count)
     if not 0 <= first < last < count:
         finding = f"points {first + 1} and {last + 1} of a line of {count}"

@@ -74,14 +74,9 @@ class PathPointSection(LoopEndSection):
         return PathPoint(self.body, self.placement, self.shift, presence)
 
 
-class WrapSection(LoopEndSection):
-    """A cylinder about its z axis, or a sphere, around which the line of a force wraps where it would cut it."""
+class AroundSection(LoopEndSection):
+    """A surface around which the line of a force wraps where it would cut it."""
 
-    type: Literal["cylinder", "sphere"] = Field(examples=["cylinder"])
-    radius: NumberField = Field(examples=[0.03], description="m")
-    length: Annotated[NumberField | None, Field(examples=[0.1], description="of a cylinder, m; else without ends")] = (
-        None
-    )
     side: Literal["x", "-x", "y", "-y", "z", "-z"] | None = Field(
         None, examples=["-y"], description="the half on which the line stays; else it takes the nearer way"
     )
@@ -89,17 +84,54 @@ class WrapSection(LoopEndSection):
         None, examples=[[1, 2]], description="numbers of points of the line, from 1, between which it wraps; else all"
     )
 
+
+class RoundSection(AroundSection):
+    """A cylinder about its z axis, or a sphere, around which the line of a force wraps where it would cut it."""
+
+    type: Literal["cylinder", "sphere"] = Field(examples=["cylinder"])
+    radius: NumberField = Field(examples=[0.03], description="m")
+    length: Annotated[NumberField | None, Field(examples=[0.1], description="of a cylinder, m; else without ends")] = (
+        None
+    )
+
     def make(self) -> Wrap:
         """Make the part of a Model."""
-        return Wrap(
-            self.radius,
-            self.body,
-            self.placement,
-            self.type == "sphere",
-            self.length,
-            self.side or "",
-            self.between,
-        )
+        size, side = (self.radius,), self.side or ""
+        return Wrap(size, self.body, self.placement, self.type, self.length, side, self.between)
+
+
+class EllipsoidSection(AroundSection):
+    """An ellipsoid along the axes of its frame, around which the line of a force wraps where it would cut it."""
+
+    type: Literal["ellipsoid"] = Field(examples=["ellipsoid"])
+    radii: TripleField = Field(examples=[[0.03, 0.02, 0.04]], description="half axes, m")
+    method: Literal["hybrid", "midpoint", "axial"] = Field(
+        "hybrid", examples=["midpoint"], description="how the line finds its plane, as in OpenSim"
+    )
+
+    def make(self) -> Wrap:
+        """Make the part of a Model."""
+        side = self.side or ""
+        return Wrap(self.radii, self.body, self.placement, self.type, None, side, self.between, self.method)
+
+
+class TorusSection(AroundSection):
+    """A torus about its z axis, through which the line of a force passes."""
+
+    type: Literal["torus"] = Field(examples=["torus"])
+    radius: NumberField = Field(examples=[0.03], description="of the ring in the middle of its tube, m")
+    tube: NumberField = Field(examples=[0.005], description="the radius of the tube, m")
+
+    def make(self) -> Wrap:
+        """Make the part of a Model."""
+        size, side = (self.radius, self.tube), self.side or ""
+        return Wrap(size, self.body, self.placement, self.type, None, side, self.between)
+
+
+WrapSection = Annotated[
+    Union[RoundSection, EllipsoidSection, TorusSection],  # noqa: UP007
+    Field(discriminator="type", examples=[{"type": "cylinder", "body": "thigh", "radius": 0.03}]),
+]
 
 
 class TendonSection(Section):
