@@ -24,7 +24,9 @@ from mbsrun.ocp.solving.singularities import (
     _find_singular_part,
     _find_wrong,
     _find_zero,
+    _read_sides,
     find_cause,
+    find_in_links,
 )
 from mbsrun.ocp.solving.stepping import Span, Stepper, _read_each
 from mbsrun.simulation.motion import Chunk
@@ -273,3 +275,95 @@ def test_motions_whose_inputs_follow_the_state_are_read_one_by_one() -> None:
     read, asked = gather(span(0.0, 1.0), span(1.0, 2.0), law=1)
     assert read(np.array([1, 0]), np.array([1.5, 0.25])).tolist() == [[1.5, 1.0], [0.25, 1.0]]
     assert asked == []
+
+
+# --- links ----------------------------------------------------------------------------------------------------------
+
+
+class Side:
+    """One side of a link: numbers of its motion at its start and at its end, by name."""
+
+    def __init__(self, kinds: dict[str, str], start: float, end: float, times: tuple[float, ...] = (0.0, 2.0)) -> None:
+        self.known = {name: SimpleNamespace(kind=kind) for name, kind in kinds.items()}
+        self.start, self.end, self.times = start, end, np.array(times)
+
+    def read_end(self, named: Any, *, is_last: bool) -> Array:
+        base = self.end if is_last else self.start
+        return np.array([[base + list(self.known).index(name) for name in named]])
+
+
+KINDS = {"q_x": "q", "qd_x": "qd", "act": "states", "t": "t"}
+
+
+@pytest.mark.parametrize(
+    ("place", "names", "found"),
+    [
+        ("links[0].conditions[1]", ("end_q_x", "start_act", "start_t"), {"end_q_x": 20, "start_act": 32, "start_t": 33}),
+        ("links[0].conditions[1]", ("x", "q_x"), {}),
+        ("links[0].map.y", ("x", "act", "t", "end_q_x", "start_t"), {"x": 20, "act": 22, "start_t": 33}),
+        ("links[0].velocities.y", ("x", "act", "qd_x"), {"x": 21}),
+    ],
+)  # fmt: skip
+def test_expressions_of_links_read_the_end_before_and_the_start_after(
+    place: str, names: tuple[str, ...], found: dict[str, float]
+) -> None:
+    """Conditions by names of both; maps and velocities by coordinates, states and velocities of the phase before."""
+    before, after = Side(KINDS, 10.0, 20.0), Side(KINDS, 30.0, 40.0)
+    stated = Stated(place, "title", "text")
+    read = _read_sides(stated, names, before, after)  # type: ignore[arg-type]
+    assert {name: x.tolist() for name, x in read.items()} == {name: [x] for name, x in found.items()}
+
+
+def test_expressions_of_a_link_are_listed_with_their_places() -> None:
+    link: Any = SimpleNamespace(
+        source="a", target="b", map=(("y", "x"), ("z", None)), velocities=(("y", "2*x"),),
+        conditions=[SimpleNamespace(expression="c0"), SimpleNamespace(expression="c1")],
+        cost=[SimpleNamespace(expression="k0")],
+    )  # fmt: skip
+    found = [(x.place, x.title, x.text) for x in singularities._list_of_link(3, link)]
+    assert found == [
+        ("links[3].map.y", "y by link a to b:", "x"),
+        ("links[3].velocities.y", "y by link a to b:", "2*x"),
+        ("links[3].conditions[0]", "condition of link a to b:", "c0"),
+        ("links[3].conditions[1]", "condition of link a to b:", "c1"),
+        ("links[3].cost[0]", "cost of link a to b:", "k0"),
+    ]
+
+
+def find_in_link(
+    monkeypatch: pytest.MonkeyPatch, *conditions: str, ends: tuple[float, float] = (0.0, 4.0), unknown: float = 1.0
+) -> Any:
+    """Find what is singular in conditions of a link of two phases, whose coordinate x is at 0 where they meet."""
+    sides = {"a": Side({"q_x": "q"}, 7.0, ends[0], (0.0, 2.5)), "b": Side({"q_x": "q"}, ends[1], 9.0, (0.0, 8.0))}
+    monkeypatch.setattr(singularities, "_Points", lambda problem, *_: sides[problem])
+    link = SimpleNamespace(
+        source="a",
+        target="b",
+        map=(),
+        velocities=(),
+        cost=(),
+        conditions=[SimpleNamespace(expression=x) for x in conditions],
+    )
+    problem: Any = SimpleNamespace(
+        phases=[SimpleNamespace(problem="a"), SimpleNamespace(problem="b")], links=[link], find="ab".index,
+        constants=(("k", 0.0),), every_unknown=[SimpleNamespace(name="n", guess=unknown)],
+    )  # fmt: skip
+    plants: Any = SimpleNamespace(phases=[None, None])
+    return find_in_links(problem, plants, [None, None], "the guess")  # type: ignore[list-item]
+
+
+def test_the_first_expression_of_a_link_without_a_number_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With the time at which the phase before ends; constants and guesses of unknowns count."""
+    found = find_in_link(monkeypatch, "start_q_x + n", "1/end_q_x", "log(end_q_x)")
+    assert found.place == "links[0].conditions[1]"
+    assert "1/end_q_x has no finite value at t = 2.5 s of the guess, phase a" in found.finding
+    assert find_in_link(monkeypatch, "1/start_q_x", "sqrt(start_q_x)") is None
+    assert find_in_link(monkeypatch, "sqrt(end_q_x + 1)", ends=(0.0, 4.0)) is None
+    assert "derivative" in find_in_link(monkeypatch, "sqrt(end_q_x)").finding
+    assert find_in_link(monkeypatch, "1/(n*start_q_x)", unknown=0.0).place == "links[0].conditions[0]"
+    assert find_in_link(monkeypatch, "1/(start_q_x*k)").place == "links[0].conditions[0]"
+
+
+def test_numbers_alone_and_impulses_are_no_expressions_to_look_at(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert find_in_link(monkeypatch, "1/0", "1/jz_foot") is None
+    assert find_in_link(monkeypatch, "1/jz_foot", "1/end_q_x").place == "links[0].conditions[1]"
