@@ -298,7 +298,7 @@ KINDS = {"q_x": "q", "qd_x": "qd", "act": "states", "t": "t"}
 @pytest.mark.parametrize(
     ("place", "names", "found"),
     [
-        ("links[0].conditions[1]", ("end_q_x", "start_act", "start_t"), {"end_q_x": 20, "start_act": 32, "start_t": 33}),
+        ("links[0].conditions[1]", ("end_q_x", "start_act"), {"end_q_x": 20, "start_act": 32}),
         ("links[0].conditions[1]", ("x", "q_x"), {}),
         ("links[0].map.y", ("x", "act", "t", "end_q_x", "start_t"), {"x": 20, "act": 22, "start_t": 33}),
         ("links[0].velocities.y", ("x", "act", "qd_x"), {"x": 21}),
