@@ -169,7 +169,7 @@ def test_a_function_of_several_numbers_is_differentiated_twice(rng: np.random.Ge
         (lambda p, _: p.with_constraint("q_pole", 0, "q"), 'unknown name "q"'),
         (lambda p, s: p.with_constraint(s.q, [1, 2, 3]), r"2 entries, with the limits \[1, 2, 3\] and inf"),
         (lambda p, s: p.with_constraint(s.t, at="never"), "constraints.*at"),
-        (lambda p, s: p.with_cost(s.t, name="q_cart"), 'functions.0..name: found "q_cart"; give a word'),
+        (lambda p, s: p.with_cost(s.t, name="q_cart"), 'functions.0..name: found "q_cart"; give a name'),
         (lambda p, s: p.with_cost(s.t, name="f").with_cost(s.T, name="f"), 'functions.1..name: found "f"'),
         (lambda p, s: p.with_cost(s.t).with_solver("mbs"), "mbs writes a problem in C, and an expression of CasADi"),
     ],
