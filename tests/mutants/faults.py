@@ -16,7 +16,7 @@ FILES = (  # that faults are drawn in
     *(f"csrc/mbs_{name}.c" for name in ("check", "cone", "dense", "explicit", "least", "many", "radau", "rollout")),
     *(f"csrc/mbs_{name}.c" for name in ("stepping", "variational")),
     *(f"csrc/kkt/mbs_{name}.c" for name in ("front", "ipopt", "ldl", "order", "partners", "plan")),
-    "csrc/program/*.c",
+    *(f"csrc/{name}/*.c" for name in ("cases", "fmi", "program", "threads")),
     *(f"python/mbsrun/{name}/*.py" for name in ("controllers", "linearisation", "recordings", "tracking")),
     "python/mbsrun/simulation/**/*.py",
     "python/mbsrun/ocp/*/**/*.py",

@@ -127,7 +127,8 @@ def _compile(path: Path) -> bytes:
         except SyntaxError:
             return b""
     compiler = find_compiler(os.environ)
-    folders = [f"-I{each}" for each in (path.parent, ROOT / "csrc", ROOT / "csrc" / "stages")]
+    others = (ROOT / "csrc" / name for name in ("", "stages", "program", "timing"))
+    folders = [f"-I{each}" for each in (path.parent, *others)]
     with tempfile.TemporaryDirectory() as place:
         made = Path(place) / "made.o"
         command = [*compiler.command, *compiler.flags, *STRICT, "-O2", *folders, "-c", path.name, "-o", str(made)]
