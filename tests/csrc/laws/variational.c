@@ -641,6 +641,8 @@ static void definite(void)
         LAW("others have none", !is_definite(3, bad, factor));
         bad[4 * k] = NAN;
         LAW("as no number", !is_definite(3, bad, factor));
+        bad[4 * k] = 0;
+        LAW("nor nothing at all", !is_definite(3, bad, factor));
         for (j = 0; j < k; ++j) {
             bad[4 * k] = 4, bad[4 * j] = 1, bad[3 * k + j] = bad[3 * j + k] = sqrt(4 - 4.1 * least);
             LAW("a small pivot keeps digits", is_definite(3, bad, factor));
