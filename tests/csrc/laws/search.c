@@ -461,6 +461,7 @@ static void watching(void)
 {
     mbs_stages_phase *p = &phase;
     int i;
+    real phi, cost;
     anew(&solver, p);
     given.wall = 0.6, given.beyond = 10;
     p->watchdog.shortened = 9;
@@ -472,9 +473,10 @@ static void watching(void)
     LAW("there is none in restoration", !mbs_stages_search(&solver, p) && !p->watchdog.active);
     anew(&solver, p);
     given.wall = 0.6, given.beyond = 10;
-    p->watchdog.shortened = 10;
+    p->watchdog.shortened = 10, p->watchdog.phi = p->watchdog.cost = 99, phi = p->phi, cost = p->cost;
     LAW("ten do, and a whole step passes unseen", !mbs_stages_search(&solver, p) && p->watchdog.active && p->x[0] == 1);
     LAW("the point is kept", p->watchdog.x[0] == 0 && p->watchdog.trials == 1 && p->watchdog.theta == 1);
+    LAW("with its barrier function and cost", p->watchdog.phi == phi && p->watchdog.cost == cost);
     for (i = 0; i < 2; ++i)
         LAW("three steps pass", !mbs_stages_search(&solver, p) && p->watchdog.active && p->x[0] == 2 + i);
     LAW("then the search goes back, to half of the step", !mbs_stages_search(&solver, p) && p->x[0] == 0.5);
