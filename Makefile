@@ -9,7 +9,7 @@ PYTEST = PYTHONDONTWRITEBYTECODE= $(BIN)/pytest -n $(WORKERS)
 BY_FILE = --dist loadfile --no-loadscope-reorder
 PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
-.PHONY: demo docs track quick test rest check forget table durations fuzz lint bench bench-growth bench-ocp bench-kkt bench-classics bench-mpc bench-loops bench-community bench-batches bench-contacts bench-identification bench-derivatives bench-gpu bench-learning bench-startup bench-results study laboratory mutants drawn golden schema clean
+.PHONY: demo docs track style quick test rest check table durations fuzz lint bench bench-growth bench-ocp bench-kkt bench-classics bench-mpc bench-loops bench-community bench-batches bench-contacts bench-identification bench-derivatives bench-gpu bench-learning bench-startup bench-results study laboratory mutants drawn golden schema clean
 
 demo: $(VENV)/installed
 	$(BIN)/mbsgen models/arm_pendulum.yaml -o build/arm_pendulum
@@ -20,26 +20,25 @@ demo: $(VENV)/installed
 # All day: style, the types of files that differ from the commit before, and the tests that take no time. A minute.
 CHANGED = $(shell { git diff --name-only --diff-filter=d HEAD~1; git ls-files --others --exclude-standard; } 2>/dev/null | \
     grep -E '^(generator/mbsgen|python/mbsrun|benchmarks|studies|website)/.*\.py$$')
-quick: $(VENV)/installed-dev
-	$(BIN)/ruff check .
-	$(BIN)/ruff format --check .
+quick: style
 	$(if $(CHANGED),$(BIN)/mypy $(CHANGED))
 	$(PYTEST) -m quick --dist worksteal
 
+# Types are checked beside the tests, since mypy takes one core alone; what it finds is printed last.
+TESTS = mkdir -p build; $(BIN)/mypy > build/types.txt 2>&1 & types=$$!; $(PYTEST) $(1) $(BY_FILE); tests=$$?; \
+    wait $$types; types=$$?; cat build/types.txt; test $$tests -eq 0 -a $$types -eq 0
+
 # Before a change goes in: style, types, and all tests but the ones that take long. Ten minutes on two cores.
-test: lint
-	$(PYTEST) -m "not rest" $(BY_FILE)
+test: style
+	@$(call TESTS,-m "not rest")
 
 # What `make test` leaves out: documents and the site, toolchains, studies, the longest tests. tests/durations.py lists it.
 rest: $(VENV)/installed-dev
 	$(PYTEST) -m rest $(BY_FILE)
 
-# The rest finds what the tests before have generated and compiled, in a cache that begins empty.
-check: export MBS_TESTS_CACHE = $(CURDIR)/build/tests_cache
-check: forget test rest
-
-forget:
-	rm -rf build/tests_cache
+# Both in one run: the tests of a file that take long share what the others have made.
+check: style
+	@$(call TESTS)
 
 # Measures what each test takes, and renews the list of the slower ones: an hour on a quiet machine.
 durations: $(VENV)/installed-dev
@@ -73,10 +72,12 @@ fuzz: $(VENV)/installed-dev
 	$(BIN)/python -m tests.fuzz robots $(FUZZ)
 	$(BIN)/python -m tests.fuzz bounds $(FUZZ) $(FUZZ_BOUNDS)
 
-lint: $(VENV)/installed-dev
+lint: style
+	$(BIN)/mypy
+
+style: $(VENV)/installed-dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/mypy
 
 # Compares with others: two minutes on a quiet machine, after BENCH=--prepare, which generates and compiles everything,
 # measures nothing, and takes half an hour on a machine that may be busy. BENCH=--quick needs no C++ compiler.

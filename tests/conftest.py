@@ -86,7 +86,7 @@ def cache(run_folder: Path) -> Iterator[Path]:
     """Keep what is generated and compiled apart from the user's, for all processes of the run, with plain flags.
 
     Zig keeps its C libraries, which take it half a minute to compile, in the user's cache. Planted faults name one
-    cache for many runs, and `make check` one for both of its runs.
+    cache for many runs.
     """
     place = Path(os.environ.get("MBS_TESTS_CACHE") or run_folder / "cache")
     place.mkdir(parents=True, exist_ok=True)

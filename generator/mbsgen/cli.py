@@ -16,6 +16,7 @@ from click.shell_completion import CompletionItem
 from mbsgen import __version__
 from mbsgen.errors import MbsError
 from mbsgen.help import CommandsBySubject, CommandsOnDemand, Entry
+from mbsgen.style import spare_docstrings
 
 PACKAGES = ("sympy", "mpmath", "jinja2", "pydantic", "pyyaml", "click", "rich")  # that `--version` shows
 BAD_INPUT = 2  # exit code: an unacceptable file or argument; 0 is success
@@ -113,6 +114,7 @@ def main() -> None:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")  # the terminal's encoding may lack the characters of a name
     warnings.showwarning = _show_warning
+    spare_docstrings()
     try:
         cli(prog_name="mbsgen")
     except MbsError as error:

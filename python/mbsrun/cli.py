@@ -10,6 +10,7 @@ import click
 
 from mbsgen.errors import MbsError
 from mbsgen.help import CommandsBySubject, CommandsOnDemand, Entry
+from mbsgen.style import spare_docstrings
 
 BAD_INPUT = 2  # exit code: an unacceptable file or argument
 
@@ -97,6 +98,7 @@ def main() -> None:
     # Searches for cycles of objects take up to a tenth of a solve: modules alone are 200,000 objects.
     gc.set_threshold(500_000, 20, 20)
     atexit.register(gc.freeze)  # the last search of a process, whose memory is given back as a whole
+    spare_docstrings()
     try:
         cli()
     except MbsError as error:

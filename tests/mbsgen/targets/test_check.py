@@ -77,10 +77,9 @@ def write_steep(folder: Path, law: str) -> Path:
     return model
 
 
-@pytest.mark.parametrize("flags", [("-O0",), ("-O0", "-DMBS_REAL=float")], ids=["double", "single"])
-@pytest.mark.parametrize(
-    "law",
-    [
+@pytest.fixture(
+    scope="module",
+    params=[
         "-0.3*tanh(qd/0.3)",
         "-0.3*tanh(qd/0.15)",
         "-0.3*tanh(10*qd)",
@@ -92,10 +91,17 @@ def write_steep(folder: Path, law: str) -> Path:
         f"-0.3*tanh(1e4*(qd - {DRAWN - Decimal('4e-3')}))",  # the same in single precision
     ],
 )
-def test_steep_laws_pass(law: str, flags: tuple[str, ...], tmp_path: Path, requires: Requires) -> None:
+def steep(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Generate a body with steep friction."""
+    place = tmp_path_factory.mktemp("steep")
+    generate(write_steep(place, request.param), place / "steep", Options(functions=("impl", "exp1")))
+    return place / "steep"
+
+
+@pytest.mark.parametrize("flags", [("-O0",), ("-O0", "-DMBS_REAL=float")], ids=["double", "single"])
+def test_steep_laws_pass(steep: Path, flags: tuple[str, ...], tmp_path: Path, requires: Requires) -> None:
     """Friction that turns within a low speed bends derivatives far between two differences, and cancels in them."""
-    generate(write_steep(tmp_path, law), tmp_path / "steep", Options(functions=("impl", "exp1")))
-    status, found = check(build(tmp_path / "steep", tmp_path / "check", requires("gcc"), *flags))
+    status, found = check(build(steep, tmp_path / "check", requires("gcc"), *flags))
     assert (status, set(found.values())) == (0, {"ok"})
     assert "jac_adj1_impl against differences of adj1_impl" in found
 
@@ -199,12 +205,19 @@ STEEP_FAULTS: Mapping[str, Callable[[Family], Family]] = {
 }
 
 
+@pytest.fixture(scope="module")
+def steep_families(tmp_path_factory: pytest.TempPathFactory) -> tuple[Family, ...]:
+    """Write the functions of a body with steep friction."""
+    model = write_steep(tmp_path_factory.mktemp("steep"), "-0.1*qd - 0.3*tanh(20*qd)")
+    return write_families(read_tree(model), merge(Options(functions=("impl",)), Scene(functions=None)))
+
+
 @pytest.mark.parametrize("fault", STEEP_FAULTS)
-def test_planted_faults_are_found_beside_steep_laws(fault: str, tmp_path: Path, requires: Requires) -> None:
+def test_planted_faults_are_found_beside_steep_laws(
+    fault: str, steep_families: tuple[Family, ...], tmp_path: Path, requires: Requires
+) -> None:
     """A fault of 1e-5 in a number, though many steps are tried where a law is steep."""
-    model = write_steep(tmp_path, "-0.1*qd - 0.3*tanh(20*qd)")
-    families = write_families(read_tree(model), merge(Options(functions=("impl",)), Scene(functions=None)))
-    planted = tuple(STEEP_FAULTS[fault](f) if f.value.name == "impl" else f for f in families)
+    planted = tuple(STEEP_FAULTS[fault](f) if f.value.name == "impl" else f for f in steep_families)
     status, found = check(build(write_sample(tmp_path / "s", families=planted), tmp_path / "check", requires("gcc")))
     assert status == 1
     assert found[fault] == "FAULT"

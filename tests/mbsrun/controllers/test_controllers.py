@@ -661,7 +661,7 @@ def test_threads_change_no_digit(case: Case, tmp_path: Path, requires: Requires,
     (tmp_path / "loop.c").write_text(text.replace("    free(memory);", ending), encoding="utf-8")
     sources = [tmp_path / "loop.c", *(case.folder / source for source in manifest.sources)]
     for more in ([], ["-DMBS_STAGES_WORKERS=3", "-pthread"]):
-        flags = ["-std=c99", "-O1", "-Wall", "-Wextra", "-Wpedantic", "-Werror", f"-fsanitize={sanitizer}"]
+        flags = ["-std=c99", "-O0", "-Wall", "-Wextra", "-Wpedantic", "-Werror", f"-fsanitize={sanitizer}"]
         run(requires("gcc"), *flags, f"-I{case.folder}", *more, *sources, "-lm", "-o", tmp_path / "loop")
         found.append(run(tmp_path / "loop"))
     assert found[0] == found[1]
