@@ -7,11 +7,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
+from mbsgen.roles import Role
 from mbsrun.ocp.ground.schemes import Family
 from mbsrun.ocp.problem.problem import (
     Bounds,
@@ -35,7 +37,14 @@ from mbsrun.ocp.problem.problem import (
     Unknown,
     WrenchComponent,
 )
-from mbsrun.ocp.statement.checks import ProblemError, check_problem, find_loop_conflicts, find_open_references
+from mbsrun.ocp.statement import checks
+from mbsrun.ocp.statement.checks import (
+    ProblemError,
+    check_problem,
+    find_loop_conflicts,
+    find_open_references,
+    list_open_inputs,
+)
 from mbsrun.recordings.references import Reference
 from mbsrun.recordings.splines import Treatment, fit
 from tests.mbsrun.ocp.closed_plants import pendulum_of_rods
@@ -174,6 +183,21 @@ BAD: list[tuple[dict[str, Any], str, str]] = [
     ({"states": (State("s", "1", (0.0, 1.0), end=(-1.0, -0.01)),)}, "states[0].end", "[-1, -0.01] leaves nothing"),
     ({"states": (State("s", "1", start=(1.0, 0.0)),)}, "states[0].start", "[1, 0] leaves nothing within"),
     ({"states": (State("s", "speed"),)}, "states[0].rate", 'unknown name "speed"'),
+    ({"controls": (Control("q_slide"),)}, "controls[0].name", 'found "q_slide"'),
+    ({"controls": (CONTROL, Control("c"))}, "controls[1].name", 'found "c"'),
+    ({"controls": (Control("c", guess=NAN),)}, "controls[0].guess", "found nan"),
+    ({"unknowns": (Unknown("u_slide", (0.0, 1.0)),)}, "unknowns[0].name", 'found "u_slide"'),
+    ({"unknowns": (Unknown("a b", (0.0, 1.0)),)}, "unknowns[0].name", 'found "a b"'),
+    (
+        {"forces": (Force(0, "-qdd_slide"),), "controls": (CONTROL,), "bounds": Bounds(FREE, FREE, FREE, FREE)},
+        "forces[0].expression",
+        "the expression reads accelerations, which depend on it",
+    ),
+    (
+        {"forces": (Force(0, "-u_slide"),), "controls": (CONTROL,), "bounds": Bounds(FREE, FREE, FREE, FREE)},
+        "forces[0].expression",
+        "expressions that read each other in a circle",
+    ),
     ({"forces": (Force(0, "speed"),)}, "forces[0].expression", 'unknown name "speed"'),
     (
         {"solver": SolverOptions(method="ipopt", options=(("max_cpu_time", "x"),))},
@@ -386,3 +410,15 @@ def test_an_expression_that_reads_an_unknown_part_reads_where_it_is_known() -> N
     many = refer(1, 4, 7)
     assert "at 0 to 0.2 s, 0.3 to 0.5 s, 0.6 to 0.8 s of its" in read("ref_walk_y", many, horizon=1.0)[0]
     assert "0.8 s, ... of its" in read("ref_walk_y", many, horizon=1.5)[0]
+
+
+def test_inputs_of_a_model_to_which_no_problem_gives_a_value_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """All of them are named, as far as the equations read them."""
+    roles = {"q": Role.COORDINATE, "u": Role.FORCE, "w": Role.WRENCH, "odd": Role.RESULT, "idle": Role.RESULT}
+    inputs = [SimpleNamespace(name=name, role=role, nnz=int(name != "idle")) for name, role in roles.items()]
+    manifest: Any = SimpleNamespace(coordinates=("x",), kernel=lambda _: SimpleNamespace(inputs=inputs))
+    assert list_open_inputs(manifest) == ["odd"]
+    manifest.coordinates = ()
+    assert list_open_inputs(manifest) == []
+    monkeypatch.setattr(checks, "list_open_inputs", lambda _: ["a", "b"])
+    assert find({"cost": Cost(1.0), "name": "open"}) == (("model", "the model leaves a, b open, beside the inputs u"),)

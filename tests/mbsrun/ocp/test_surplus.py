@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
+from mbsrun.ocp.problem.problem import End, Unknown
+from mbsrun.ocp.statement import surplus
 from mbsrun.ocp.statement.checks import ProblemError
-from mbsrun.ocp.statement.surplus import _check_velocities, _choose, _compare, _solve
+from mbsrun.ocp.statement.surplus import _check_velocities, _choose, _compare, _solve, free_targets
+from tests.mbsrun.ocp.plants import push
 
 PROBLEM: Any = SimpleNamespace(name="task")
 
@@ -76,3 +80,60 @@ def test_steps_to_a_pose_go_half_a_radian_at_most() -> None:
     assert np.abs(np.diff(seen)).max() == pytest.approx(0.5)
     plane = _solve(lambda q: np.array([q @ [1.0, 2.0] - 5.0]), lambda _: np.array([[1.0, 2.0]]), np.zeros(2))
     assert plane == pytest.approx([1.0, 2.0], abs=1e-12)
+
+
+# --- targets that follow from driven joints -------------------------------------------------------------------------
+
+
+def free(*targets: tuple[float | None, ...], driven: tuple[int, ...] = (0,), **given: Any) -> Any:
+    """Free targets of the sensor at (q0, q1, q0 + q1), near (2, 3); joint 0 is driven."""
+    slopes = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
+
+    def call(name: str, q: Any) -> dict[str, Any]:
+        assert q.tolist() == [2.0, 3.0]
+        return {"position": (slopes @ q)[:, None]} if name == "sensors" else {"jac_position_q": slopes}
+
+    class Kernels:
+        manifest = SimpleNamespace(
+            driven=driven, coordinates=("a", "b"), quaternions=given.pop("quaternions", ()), loops=(),
+            frames=[SimpleNamespace(name="body", sensor=False), SimpleNamespace(name="tip", sensor=True)],
+        )  # fmt: skip
+
+        def __call__(self, name: str, q: Any) -> dict[str, Any]:
+            return call(name, q)
+
+    end = End(sensors=tuple(("tip", target) for target in targets))  # type: ignore[misc]
+    problem = replace(push(2), end=end, **given)
+    plant: Any = Kernels()
+    found = free_targets(problem, plant, np.array([2.0, 3.0]))
+    return [target for _, target in found.end.sensors]
+
+
+def test_targets_that_a_driven_joint_meets_are_freed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One freedom is left, so one of the targets that it moves is kept: the one that moves most, or the first."""
+    monkeypatch.setattr(surplus, "find_closure", lambda _: None)
+    assert free((2.0, 3.0, 5.0)) == [(None, 3.0, None)]
+    assert free((2.0, None, 5.0)) == [(None, None, 5.0)]
+    assert free((2.0, None, None), (None, 3.0, None)) == [(None, None, None), (None, 3.0, None)]
+
+
+def test_no_target_is_freed_where_it_is_met_by_chance_or_not_at_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without driven joints, with a motion that is open, as few as freedoms, away from the pose, or without rank."""
+    monkeypatch.setattr(surplus, "find_closure", lambda _: None)
+    every = (2.0, 3.0, 5.0)
+    for target, given in (
+        (every, {"driven": ()}),
+        (every, {"horizon_range": (0.5, 2.0)}),
+        (every, {"unknowns": (Unknown("n"),)}),
+        (every, {"quaternions": (0,)}),
+        ((None, 3.0, None), {}),
+        ((2.0, 3.1, 5.0), {}),
+        ((2.0, None, None), {"driven": (0, 1)}),
+    ):
+        assert free(target, **given) == [target if given.get("driven") != (0, 1) else (None, None, None)]
+
+
+def test_loops_take_freedoms_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With joint 1 fixed by a loop, nothing is left to choose."""
+    monkeypatch.setattr(surplus, "find_closure", lambda _: SimpleNamespace(jacobian=lambda _: np.array([[0.0, 1.0]])))
+    assert free((2.0, 3.0, None)) == [(None, None, None)]

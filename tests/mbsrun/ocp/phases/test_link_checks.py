@@ -6,6 +6,7 @@ from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from mbsgen.documents import Finding
@@ -305,3 +306,25 @@ def test_a_reduced_form_before_asks_for_one_after() -> None:
     (found,) = own.check_speeds(EASY)
     assert show(found)[:2] == ("links.0", "phase a has loops: reduced, phase b has all velocities")
     assert list(own.check_speeds(replace(EASY, loops=Loops.REDUCED))) == []
+
+
+def test_a_wrench_is_where_its_force_does_the_work_of_the_sensor() -> None:
+    """The largest entry of J_c' + dPhi/dw, of the wrench's own columns and the sensor's own rows."""
+    J = np.arange(12.0).reshape(6, 2)
+    by_force = np.full((2, 9), 77.0)
+    by_force[:, 3:6] = -J[3:6].T
+    by_force[1, 4] += 0.25
+
+    class Kernels:
+        manifest = SimpleNamespace(coordinates=("a", "b"), positions=("a", "b"), quaternions=())
+
+        def describe(self, _: str) -> Any:
+            return SimpleNamespace(inputs=[SimpleNamespace(name=name, rows=2) for name in ("q", "qd", "w", "p")])
+
+        def __call__(self, name: str, **state: Any) -> dict[str, Any]:
+            assert set(state) == ({"q", "qd", "w"} if name == "jac_impl" else {"q", "qd"})
+            assert state["q"].any()
+            return {"jac_Phi_w": by_force} if name == "jac_impl" else {"jac_v_qd": J}
+
+    plant: Any = Kernels()
+    assert phase_checks._measure_distance(plant, 1, 3) == 0.25
