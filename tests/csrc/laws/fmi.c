@@ -205,6 +205,7 @@ static void step_a_spring(void)
     c.numbers[CLOCK] = 7; /* which no time moves */
     LAW("a spring's step", mbs_fmi_advance(&c, 3, h) == 0 && same(get(&c, AT_X), 0.5 * stays - h * turns));
     LAW("and its velocity", same(get(&c, AT_XD), -stays - 2 * h * 0.5 * turns) && c.numbers[CLOCK] == 7 && c.time == 3 + h);
+    LAW("the rates are of its end", same(get(&c, BY_XD), -2 * get(&c, AT_X)) && get(&c, BY_X) == get(&c, AT_XD));
     mbs_fmi_close(&c);
 }
 

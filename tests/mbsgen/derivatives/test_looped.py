@@ -64,14 +64,17 @@ def test_loops_give_pinocchios_derivatives() -> None:
     assert_pinocchios(tree, found, 3)
 
 
+@pytest.mark.parametrize("model", ["branched", "six_axis"])
 @pytest.mark.parametrize("kind", ["vectors", "scalars"])
-def test_the_c_of_loops_gives_the_derivatives(kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """As the straight C does, of one state, of many in lanes, and without vectors."""
+def test_the_c_of_loops_gives_the_derivatives(
+    kind: str, model: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As the straight C does, of one state, of many in lanes, and without vectors; of sliding and of turning joints."""
     monkeypatch.setenv("CFLAGS", "-O1")
     found = []
     for size in (LOOPED, STRAIGHT):
         folder = tmp_path / str(size.looped)
-        product = generate(MODELS / "branched.yaml", folder, replace(OPTIONS, size=size))
+        product = generate(MODELS / f"{model}.yaml", folder, replace(OPTIONS, size=size))
         assert ("mbs_dynamics.h" in product.files) == (size is LOOPED)
         if kind == "scalars" and size is LOOPED:
             header = folder / "mbs_columns.h"
@@ -83,7 +86,7 @@ def test_the_c_of_loops_gives_the_derivatives(kind: str, tmp_path: Path, monkeyp
         seeds = {"adj_qdd": state.pop("adj_qdd")}
         one = {name: x[0] for name, x in state.items()}
         found.append(kernels.jac("exp1", **one) | kernels.lin("exp1", **one))
-        found[-1] |= kernels.lin("impl", **one, qdd=rng.uniform(-1, 1, 7))
+        found[-1] |= kernels.lin("impl", **one, qdd=rng.uniform(-1, 1, len(product.manifest.coordinates)))
         for name, more in (("jac_exp1", {}), ("adj1_exp1", seeds)):
             many, _ = kernels.batch(name, lanes=kind == "vectors", **state, **more)
             found[-1] |= {f"many {result}": values for result, values in many.items()}
