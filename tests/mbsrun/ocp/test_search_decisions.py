@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 import signal
 import threading
 from collections.abc import Iterable, Iterator
@@ -268,20 +267,28 @@ def test_finished_trials_have_their_numbers() -> None:
     assert [(x.number, x.cost) for x in found.hops] == [(0, 5.0)]
 
 
-def test_the_first_interrupt_ends_a_search_and_the_second_one_everything() -> None:
+@pytest.fixture
+def handler() -> Iterator[Any]:
+    """Set Python's handler of interrupts, which programs in the background do not have."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield signal.default_int_handler
+    signal.signal(signal.SIGINT, before)
+
+
+def test_the_first_interrupt_ends_a_search_and_the_second_one_everything(handler: Any) -> None:
     """The handler from before is there again afterwards; other threads have no part in it."""
-    before, stopped = signal.getsignal(signal.SIGINT), list[int]()
+    stopped = list[int]()
     with pytest.raises(KeyboardInterrupt):  # noqa: SIM117, PT012
         with end_at_interrupt(lambda: stopped.append(1)):
-            assert signal.getsignal(signal.SIGINT) is not before
-            os.kill(os.getpid(), signal.SIGINT)
+            assert signal.getsignal(signal.SIGINT) is not handler
+            signal.raise_signal(signal.SIGINT)
             assert stopped == [1]
-            assert signal.getsignal(signal.SIGINT) is before
-            os.kill(os.getpid(), signal.SIGINT)
-    assert signal.getsignal(signal.SIGINT) is before
+            assert signal.getsignal(signal.SIGINT) is handler
+            signal.raise_signal(signal.SIGINT)
+    assert signal.getsignal(signal.SIGINT) is handler
     with end_at_interrupt(lambda: None):
         pass
-    assert signal.getsignal(signal.SIGINT) is before
+    assert signal.getsignal(signal.SIGINT) is handler
     inside: list[Any] = []
 
     def run() -> None:
@@ -291,7 +298,7 @@ def test_the_first_interrupt_ends_a_search_and_the_second_one_everything() -> No
     thread = threading.Thread(target=run)
     thread.start()
     thread.join()
-    assert inside == [before]
+    assert inside == [handler]
 
 
 def run_all(monkeypatch: pytest.MonkeyPatch, costs: dict[str, float | None], wish: Wish, stop_at: str = "") -> Any:
@@ -304,7 +311,7 @@ def run_all(monkeypatch: pytest.MonkeyPatch, costs: dict[str, float | None], wis
             for outcome in super().carry_out(orders):
                 yield outcome
                 if outcome.attempt.guess == stop_at:
-                    os.kill(os.getpid(), signal.SIGINT)
+                    signal.raise_signal(signal.SIGINT)
 
     @contextmanager
     def opened(*_: Any) -> Iterator[Any]:
