@@ -1,5 +1,5 @@
-/* The recursions over the joints of a tree, with loops over tables, for the kernels that include this file: M with its
- * factors, the accelerations, and dPhi/dq and dPhi/dqd as right-hand sides of their derivatives.
+/* The recursions over the joints of a tree, with loops over tables, for the kernels that include this file: the
+ * factors of M, the accelerations, and dPhi/dq and dPhi/dqd as right-hand sides of their derivatives.
  *
  * Vectors are in the axes of the base, and of body i about its own joint point. A motion is (angular, linear), a force
  * (moment, force). `procedure/tree_dynamics.py` states the equations. Bodies follow their parents. C99, reentrant.
@@ -9,6 +9,7 @@
 
 #include "mbs_abi.h"
 #include "mbs_columns.h"
+#include "mbs_spatial.h"
 
 /* A body, then what is summed over all that it carries. */
 typedef struct {
@@ -22,23 +23,6 @@ typedef struct {
     int first, carried; /* where the axis stands in S; the last body that it carries itself, or 0 */
 } mbs_body;
 
-static inline void mbs_add_cross(const mbs_real *a, const mbs_real *b, mbs_real *c)
-{
-    c[0] += a[1] * b[2] - a[2] * b[1];
-    c[1] += a[2] * b[0] - a[0] * b[2];
-    c[2] += a[0] * b[1] - a[1] * b[0];
-}
-
-static inline mbs_real mbs_dot(const mbs_real *a, const mbs_real *b)
-{
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-}
-
-static inline mbs_real mbs_power(const mbs_real *motion, const mbs_real *force)
-{
-    return mbs_dot(motion, force) + mbs_dot(motion + 3, force + 3);
-}
-
 /* Give a motion about a point at r from the one that it is known about. */
 static inline void mbs_carry_motion(const mbs_real *r, const mbs_real *x, mbs_real *y)
 {
@@ -46,12 +30,6 @@ static inline void mbs_carry_motion(const mbs_real *r, const mbs_real *x, mbs_re
     for (k = 0; k < 6; ++k)
         y[k] = x[k];
     mbs_add_cross(x, r, y + 3);
-}
-
-/* Take a force, known about a point at r, to the point that r leads from. */
-static inline void mbs_carry_force(const mbs_real *r, mbs_real *f)
-{
-    mbs_add_cross(r, f + 3, f);
 }
 
 /* y += a x b of two motions, and y += V x* f of a motion and a force. */
@@ -69,20 +47,6 @@ static inline void mbs_add_turned(const mbs_real *V, const mbs_real *f, mbs_real
     mbs_add_cross(V, f + 3, y + 3);
 }
 
-/* y += I x: m, h, P and a motion give a force. */
-static inline void mbs_add_momentum(const mbs_real *I, const mbs_real *x, mbs_real *y)
-{
-    const mbs_real *P = I + 4, t = P[0] + P[1] + P[2];
-    y[0] += (t - P[0]) * x[0] - P[3] * x[1] - P[4] * x[2];
-    y[1] += (t - P[1]) * x[1] - P[3] * x[0] - P[5] * x[2];
-    y[2] += (t - P[2]) * x[2] - P[4] * x[0] - P[5] * x[1];
-    mbs_add_cross(I + 1, x + 3, y);
-    mbs_add_cross(x, I + 1, y + 3);
-    y[3] += I[0] * x[3];
-    y[4] += I[0] * x[4];
-    y[5] += I[0] * x[5];
-}
-
 /* y += D x, with D = -2 (C w; p x w) of the angular part w. */
 static inline void mbs_add_gyration(const mbs_real *C, const mbs_real *p, const mbs_real *x, mbs_real *y)
 {
@@ -98,16 +62,10 @@ static inline void mbs_add_gyration(const mbs_real *C, const mbs_real *p, const 
 static inline void mbs_place_body(const mbs_body *from, int joint, const mbs_real *placement, const mbs_real *moments,
                                   mbs_real rate, mbs_body *to)
 {
-    static const int rows[6] = {0, 1, 2, 0, 0, 1}, columns[6] = {0, 1, 2, 1, 2, 2};
     const int axis = joint % 3, first = joint < 3 ? 0 : 3;
-    mbs_real T[9], f[6], L[6] = {0};
+    mbs_real f[6], L[6] = {0};
     int c, k;
-    for (k = 0; k < 3; ++k) {
-        const mbs_real *E = from->E + 3 * k;
-        for (c = 0; c < 3; ++c)
-            to->E[3 * k + c] = E[0] * placement[c] + E[1] * placement[3 + c] + E[2] * placement[6 + c];
-        to->r[k] = mbs_dot(E, placement + 9);
-    }
+    mbs_place_frame(from->E, placement, to->E, to->r);
     for (k = 0; k < 3; ++k) {
         to->S[k] = to->S[k + 3] = MBS_EVERY(0.0);
         to->S[first + k] = to->axis[k] = to->E[3 * k + axis];
@@ -123,17 +81,7 @@ static inline void mbs_place_body(const mbs_body *from, int joint, const mbs_rea
         to->A[k] += to->V_S[k] * rate;
     }
 
-    to->I[0] = moments[0];
-    for (k = 0; k < 3; ++k) {
-        const mbs_real *E = to->E + 3 * k, *P = moments + 4;
-        to->I[1 + k] = mbs_dot(E, moments + 1);
-        T[3 * k] = E[0] * P[0] + E[1] * P[3] + E[2] * P[4];
-        T[3 * k + 1] = E[0] * P[3] + E[1] * P[1] + E[2] * P[5];
-        T[3 * k + 2] = E[0] * P[4] + E[1] * P[5] + E[2] * P[2];
-    }
-    for (k = 0; k < 6; ++k)
-        to->I[4 + k] = mbs_dot(T + 3 * rows[k], to->E + 3 * columns[k]);
-
+    mbs_turn_moments(to->E, moments, to->I);
     for (k = 0; k < 10; ++k)
         to->sum[k] = to->I[k];
     mbs_add_momentum(to->I, to->V, L);
@@ -162,20 +110,13 @@ static inline void mbs_place_body(const mbs_body *from, int joint, const mbs_rea
 /* Add what a body carries to what its parent carries. */
 static inline void mbs_join_body(const mbs_body *body, mbs_body *to)
 {
-    const mbs_real *r = body->r, *s = body->sum, *p = body->p, m = s[0];
-    const mbs_real h[3] = {s[1] + m * r[0], s[2] + m * r[1], s[3] + m * r[2]};
+    const mbs_real *r = body->r, *p = body->p;
     const mbs_real full = mbs_dot(r, p);
     mbs_real F[6];
     int c, k;
-    to->sum[0] += m;
-    for (k = 0; k < 3; ++k) {
-        to->sum[1 + k] += h[k];
-        to->sum[4 + k] += s[4 + k] + (s[1 + k] + h[k]) * r[k];
+    mbs_join_moments(r, body->sum, to->sum);
+    for (k = 0; k < 3; ++k)
         to->p[k] += p[k];
-    }
-    to->sum[7] += s[7] + s[1] * r[1] + r[0] * h[1];
-    to->sum[8] += s[8] + s[1] * r[2] + r[0] * h[2];
-    to->sum[9] += s[9] + s[2] * r[2] + r[1] * h[2];
     for (k = 0; k < 3; ++k) {
         for (c = 0; c < 3; ++c)
             to->C[3 * k + c] += body->C[3 * k + c] + p[k] * r[c];

@@ -14,7 +14,7 @@ from mbsgen.derivatives.dynamics import Dynamics
 from mbsgen.derivatives.kernels import Derivatives, differentiable, differentiate
 from mbsgen.derivatives.staged import StagedDerivatives
 from mbsgen.formulations import ports
-from mbsgen.formulations.catalogue import FUNCTIONS, Entry, refuse, select_functions
+from mbsgen.formulations.catalogue import FUNCTIONS, Entry, is_by_tables, refuse, select_functions
 from mbsgen.formulations.planning import count_own
 from mbsgen.model.tree import Kind, Tree
 from mbsgen.procedure.procedure import Computation, Procedure, straight
@@ -103,7 +103,7 @@ def _write_chosen(
     forms: list[Derivatives] = []
     for name, entry in _choose_functions(tree, request).items():
         tell(name)
-        function = entry.build(tree, request.reductions)
+        function = _build(name, entry, tree, request, staged=staged)
         assert function.name == name, "the catalogue calls a function by its own name"
         order = 0 if name in request.values else min(entry.order, request.derivatives)
         if entry.iterated and order:
@@ -129,6 +129,14 @@ def _write_chosen(
         families += _write_family(found, entry.title, order)
         ways |= found.count_ways(ORDERS[order])
     return families, ways
+
+
+def _build(name: str, entry: Entry, tree: Tree, request: Request, *, staged: bool) -> Computation:
+    """Write a function, with loops over tables where its straight code would be long."""
+    is_alone = request.scene.motion and not any(name in parts for _, parts in request.scene.together)
+    if entry.by_tables and staged and is_alone and is_by_tables(entry, tree, request.size.matrix):
+        return entry.by_tables(tree, request.reductions)
+    return entry.build(tree, request.reductions)
 
 
 def _write_family(found: Derivatives, title: str, order: int) -> Iterator[Family]:

@@ -140,6 +140,7 @@ def _make(model: Path | Model, options: Options, tell: Tell) -> Product:
         evidence,
         counted=request.count,
         compare=request.compare,
+        size=request.size,
     )
     files = _write_files(unit, sources, described, report, request)
     targets, plain = find_targets(request.targets), _leave_precise_out(unit)

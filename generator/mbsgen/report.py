@@ -20,11 +20,12 @@ from sympy import Expr
 from mbsgen import assembly
 from mbsgen.assembly import Findings
 from mbsgen.formulations import ports
-from mbsgen.formulations.catalogue import list_rows, write_row
+from mbsgen.formulations.catalogue import FUNCTIONS, is_by_tables, list_rows, write_row
 from mbsgen.formulations.reductions import ALL, NONE, Reductions
 from mbsgen.manifest import Flops, Kernel
 from mbsgen.model.symbols import exact, to_double
 from mbsgen.model.tree import Kind, Tree
+from mbsgen.request import MEASURED, CodeSize
 from mbsgen.roles import Order
 from mbsgen.scene_tables import Evidence, describe, describe_cuts
 from mbsgen.tape.counts import count
@@ -121,14 +122,19 @@ def make_report(
     *,
     counted: bool = True,
     compare: bool = False,
+    size: CodeSize = MEASURED,
 ) -> Report:
     """Count the generated kernels, and the formulations among them unless they are not to be `counted`.
+
+    Formulations that tables write are not counted: their straight code would be long.
 
     `written` is the tree of the model; in `parametric`, every number is a run-time parameter. Counting without each
     reduction takes a while, and is done only if requested.
     """
     made = {kernel.name.upper() for kernel in kernels if counted}
-    names = [name for name in list_rows() if name in made]
+    names = [
+        name for name in list_rows() if name in made and not is_by_tables(FUNCTIONS[name.lower()], written, size.matrix)
+    ]
     parametric = replace(parametric, closure=written.closure)
     formulations, setups, folded = {}, {}, {}
     for name in names:

@@ -24,6 +24,9 @@ class CodeSize:
     # By tables a chain of 24 (300) takes 1.2 times as long as straight, of 32 (528) 0.9 times, of 48 (1176) a
     # third; Talos (38 joints in limbs) takes twice as long.
     looped: int = 800
+    # Such pairs from which on M is: straight, a chain of 64 (2080) takes 0.75 times as long as by tables, of 128 (8256)
+    # 1.5 times.
+    matrix: int = 5_000
     compared: int = 12  # bodies: in larger trees, derivatives are written once for all forms
     # Operations of a function from which on Jacobians of its tape surely lose: of those tried, they won last in a star
     # of eight joints (144); the arm of the paper (230 to 453) has 1.1 to 2.9 times as many by its tape. Beside `few`

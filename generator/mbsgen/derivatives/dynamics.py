@@ -16,12 +16,13 @@ from typing import Generic, TypeVar
 from mbsgen.derivatives import implicit, kernels, recursion
 from mbsgen.derivatives.implicit import Constraints
 from mbsgen.derivatives.kernels import Derivatives, differentiable
-from mbsgen.derivatives.looped import LoopedAccelerations, LoopedResidual, can_loop, count_pairs
+from mbsgen.derivatives.looped import LoopedAccelerations, LoopedResidual
 from mbsgen.derivatives.vanishing import drop_vanishing, find_patterns, narrow
 from mbsgen.formulations import catalogue, coupling, ports
 from mbsgen.formulations.multipliers import list_owners
 from mbsgen.formulations.planning import finish, take_factors, write_sums, write_sums_again
 from mbsgen.formulations.reductions import Reductions
+from mbsgen.formulations.tables import can_loop
 from mbsgen.model.tree import Kind, Tree
 from mbsgen.procedure.fusion import drop_dead as drop_dead_stages
 from mbsgen.procedure.procedure import Computation, Procedure, straight
@@ -58,7 +59,7 @@ class Dynamics:
         staged, counted = staged and not is_compared, counted or len(tree.bodies) <= size.few
         self._choice = _Choice(reductions, is_compared=is_compared, staged=staged, size=size, counted=counted)
         self._tree, self._reductions = tree, reductions
-        self._is_looped = staged and count_pairs(tree) >= size.looped and can_loop(tree)
+        self._is_looped = staged and can_loop(tree, size.looped)
 
     def differentiate(self, tape: Tape, before: Sequence[Derivatives] = ()) -> Derivatives:
         """Differentiate a form of the equations of motion by all its inputs but parameters.

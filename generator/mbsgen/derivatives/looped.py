@@ -16,16 +16,16 @@ from mbsgen.derivatives.recursion import write_forces
 from mbsgen.derivatives.vanishing import find_patterns
 from mbsgen.formulations import exp1, ports
 from mbsgen.formulations.chain import write_chain
-from mbsgen.formulations.links import Link
 from mbsgen.formulations.parsimony.segments import align, feels_itself, largest_inertias
 from mbsgen.formulations.reductions import Reductions
 from mbsgen.formulations.states import State, declare_state
-from mbsgen.model.tree import Kind, Tree
+from mbsgen.formulations.tables import list_joints, list_moments, list_placements
+from mbsgen.model.tree import Tree
 from mbsgen.procedure.patterns import LANES
 from mbsgen.procedure.procedure import Computation, Procedure, count
 from mbsgen.procedure.solve import Block
 from mbsgen.procedure.straight import Straight
-from mbsgen.procedure.tree_dynamics import MOMENTS, PLACEMENT, Added, TreeDynamics
+from mbsgen.procedure.tree_dynamics import Added, TreeDynamics
 from mbsgen.procedure.wires import Wire
 from mbsgen.roles import Order
 from mbsgen.tape import forward
@@ -33,23 +33,6 @@ from mbsgen.tape.builder import Builder, Scalar
 from mbsgen.tape.ports import Function, Port, adjoint_port, derivative_port, seed_port
 from mbsgen.tape.replay import replay, replay_lengths
 from mbsgen.tape.types import Sparsity, Tape
-
-
-def can_loop(tree: Tree) -> bool:
-    """Return whether tables describe a tree.
-
-    It has no closed loops, couplings, driven joints, quaternions, nor parameters that are differentiated by.
-    """
-    special = tree.is_constrained or tree.couplings or tree.quaternions
-    return not special and all(parameter.kind is not Kind.DIFFERENTIATED for parameter in tree.parameters)
-
-
-def count_pairs(tree: Tree) -> int:
-    """Count the pairs of a body with one that carries it, or with itself: entries of M's triangle."""
-    depths = [0]
-    for body in tree.bodies:
-        depths.append(depths[body.parent] + 1)
-    return sum(depths)
 
 
 class _Looped(Derivatives, ABC):
@@ -126,8 +109,8 @@ class _Looped(Derivatives, ABC):
         owned = tuple(map(feels_itself, segments))
         largest = largest_inertias(chain, segments)
         numbers = {
-            "placements": [x for link in chain.links for x in _place(link)],
-            "moments": [x for link in chain.links for x in _weigh(link, builder)],
+            "placements": list_placements(chain),
+            "moments": list_moments(chain, builder),
             "gravity": list(chain.gravity),
             "rates": state.qd,
             "rotors": list(chain.armatures),
@@ -143,7 +126,7 @@ class _Looped(Derivatives, ABC):
         dynamics = TreeDynamics(
             name=f"dynamics_{function.name}",
             parents=tuple(link.parent for link in chain.links),
-            joints=tuple(link.joint.axis + (0 if link.is_revolute else 3) for link in chain.links),
+            joints=list_joints(chain),
             owned=owned,
             tolerances=(n * exp1.PIVOT_TOLERANCE, exp1.LOCKING_TOLERANCE),
             placements=wires["placements"],
@@ -226,20 +209,3 @@ class LoopedAccelerations(_Looped):
             port = derivative_port(ports.ACCELERATIONS, self.tape.input(x).port)
             blocks[x] = Wire.to(port, Sparsity.of(pattern.rows, pattern.cols, entries))
         return blocks
-
-
-def _place(link: Link) -> list[Scalar]:
-    """List the rotation to the parent by rows, then the joint point."""
-    placed = [*(x for row in link.R.rows for x in row), *link.dpt]
-    assert len(placed) == PLACEMENT, "as the recursion reads it"
-    return placed
-
-
-def _weigh(link: Link, builder: Builder) -> list[Scalar]:
-    """List mass, first moments, and second moments tr(J)/2 1 - J."""
-    J, half = link.J, builder.number(0.5)
-    trace = (J[0, 0] + J[1, 1] + J[2, 2]) * half
-    second = [*(trace - J[k, k] for k in range(3)), *(-J[r, c] for r, c in ((0, 1), (0, 2), (1, 2)))]
-    found = [link.m, *link.S, *second]
-    assert len(found) == MOMENTS, "as the recursion reads it"
-    return found

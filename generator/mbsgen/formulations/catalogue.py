@@ -17,7 +17,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 
-from mbsgen.formulations import closure, condition, coupling, exp1, exp2, impl, ports, rates, semi
+from mbsgen.formulations import closure, condition, coupling, exp1, exp2, impl, ports, rates, semi, tables
 from mbsgen.formulations.loops import closing, projection, reduced
 from mbsgen.formulations.planning import dynamics_alone
 from mbsgen.formulations.reductions import Reductions
@@ -92,6 +92,7 @@ class Entry:
     iterated: Callable[[Tree], Procedure] | None = None  # the same by iterations, if this is to be differentiated
     by_adjoint: bool = False  # of its derivatives the adjoint alone is written: others would be long
     same_as: str = ""  # another entry that computes the same, and is judged in its place
+    by_tables: Callable[[Tree, Reductions], Procedure] | None = None  # the same of a large tree, with loops over tables
 
     def gives(self, role: Role) -> bool:
         """Return whether a result has a role."""
@@ -111,6 +112,11 @@ def _plainly(build: Callable[[Tree], Tape]) -> coupling.Build:
     return project(lambda tree, _: build(tree))
 
 
+def is_by_tables(entry: Entry, tree: Tree, size: int) -> bool:
+    """Return whether a function of a tree is written with loops over tables, from `size` pairs of bodies on."""
+    return entry.by_tables is not None and tables.can_loop(tree, size)
+
+
 REFERENCE = "impl"  # the form of the equations of motion that all others are compared with
 
 # In the order of the generated files. A plain dictionary, so that a test may add an entry.
@@ -128,6 +134,7 @@ FUNCTIONS: Mapping[str, Entry] = {
         "mass matrix and bias: M qdd + c = Q",
         results=(ports.MASS_MATRIX, ports.BIAS),
         row=Row(driven=False, longest=50),
+        by_tables=tables.write_semi,
     ),
     "semi_res": Entry(
         project(semi.build_residual),

@@ -44,6 +44,7 @@ PLACEMENT, MOMENTS = 12, 10  # numbers of a body: R by rows, joint point; m, h, 
 _OF_BODY = {Op.MUL: 700, Op.ADD: 650}
 _OF_PAIR = {Op.MUL: 60, Op.ADD: 54}
 _OF_COLUMN = {Op.MUL: 31, Op.ADD: 36}
+_OF_COMPOSITE, _OF_ENTRY = {Op.MUL: 126, Op.ADD: 115}, {Op.MUL: 9, Op.ADD: 8}  # of M alone: for a body, for a pair
 
 T = TypeVar("T")
 
@@ -128,7 +129,9 @@ class TreeDynamics(Stage):
         zero = arithmetic.numbers.literal(LITERALS.mpf(0))
         n, bodies = self.size, self._place(given, zero)
         M = [[zero] * n for _ in range(n)]
-        for i, j, unit in self._pairs([body.inertia.apply(body.S) for body in bodies[1:]], bodies):
+        units = [body.inertia.apply(body.S) for body in bodies[1:]]
+        points = [body.r for body in bodies]
+        for i, j, unit in _list_pairs(self.parents, units, points):
             M[i][j] = M[j][i] = bodies[j + 1].S.dot(unit)
         if self.accelerations:
             self._accelerate(bodies, given[self.accelerations.name])
@@ -195,14 +198,6 @@ class TreeDynamics(Stage):
                 bodies[self.parents[i - 1]].carry(bodies[i])
         return bodies
 
-    def _pairs(self, forces: Sequence[Any], bodies: Sequence[_Body]) -> Iterator[tuple[int, int, Any]]:
-        """Yield each body, from 0, and each that carries it, with a force on the first about the other's point."""
-        for i, force in enumerate(forces):
-            j = i + 1
-            while j:
-                yield i, j - 1, force
-                force, j = force.taken(bodies[j].r), self.parents[j - 1]
-
     def _accelerate(self, bodies: Sequence[_Body], qdd: Sequence[Any]) -> None:
         more = [bodies[0].S]
         for body, parent, x in zip(bodies[1:], self.parents, qdd, strict=True):
@@ -226,7 +221,8 @@ class TreeDynamics(Stage):
             A_S.append(A.bracket(body.S) + V.bracket(body.V_S))
         units = [body.inertia.apply(body.S) for body in bodies[1:]]
         turned = [body.turn_back() for body in bodies[1:]]
-        for i, j, unit in self._pairs(units, bodies):
+        points = [body.r for body in bodies]
+        for i, j, unit in _list_pairs(self.parents, units, points):
             S, V_S = bodies[j + 1].S, bodies[j + 1].V_S
             B[i][j] = turned[i].dot(V_S.one) + A_S[j + 1].dot(unit)
             B[i][n + j] = turned[i].dot(S.one) + 2 * V_S.dot(unit)
@@ -235,7 +231,7 @@ class TreeDynamics(Stage):
             by_q.append(body.gyrate(body.V_S) + body.inertia.apply(a) + body.S.turn(body.F))
             by_qd.append(body.gyrate(body.S) + body.inertia.apply(body.V_S.scale(2)))
         for first, forces in ((0, by_q), (n, by_qd)):
-            for i, j, force in self._pairs(forces, bodies):
+            for i, j, force in _list_pairs(self.parents, forces, points):
                 B[j][first + i] = bodies[j + 1].S.dot(force)
         for block in self.added:
             for (r, c), value in zip(block.wire.sparsity.entries, given[block.wire.name], strict=True):
@@ -260,6 +256,72 @@ class TreeDynamics(Stage):
 
     def pull(self, adjoints: Adjoints) -> Pulled:  # noqa: ARG002  # likewise
         """Refuse: second derivatives are written straight."""
+        raise TapeError(f"{self.name} has no derivatives")
+
+
+@dataclass(frozen=True)
+class TreeMatrix(Stage):
+    """M, by composite bodies."""
+
+    name: str
+    parents: tuple[int, ...]  # of each body, from 1; 0: the base
+    joints: tuple[int, ...]  # the axis of a turn; of a slide, 3 more
+    placements: Wire
+    moments: Wire
+    rotors: Wire  # added to the diagonal
+    matrix: Wire  # in full
+
+    @property
+    def reads(self) -> tuple[Wire, ...]:
+        """List the wires of the bodies."""
+        return (self.placements, self.moments, self.rotors)
+
+    @property
+    def gives(self) -> tuple[Wire, ...]:
+        """Return M."""
+        return (self.matrix,)
+
+    @property
+    def can_fail(self) -> bool:
+        """Return False: nothing is divided."""
+        return False
+
+    def run(self, given: Values, arithmetic: Arithmetic) -> Outcome:
+        """Compute as the C does."""
+        zero = arithmetic.numbers.literal(LITERALS.mpf(0))
+        null, one = Vector(zero, zero, zero), zero + 1
+        rotations, points = [Matrix.of([[one, zero, zero], [zero, one, zero], [zero, zero, one]])], [null]
+        motions, inertias = [_Pair(null, null)], [_Moments(zero, null, Matrix((null, null, null)))]
+        placements = _chunk(given[self.placements.name], PLACEMENT)
+        moments = _chunk(given[self.moments.name], MOMENTS)
+        for parent, joint, placement, own in zip(self.parents, self.joints, placements, moments, strict=True):
+            E = rotations[parent].times(Matrix.of(_chunk(placement[:9], 3)))
+            points.append(rotations[parent].apply(Vector.of(placement[9:])))
+            rotations.append(E)
+            motions.append(_move(E, joint))
+            inertias.append(_turn(E, own))
+        for i in reversed(range(1, len(inertias))):
+            if self.parents[i - 1]:
+                inertias[self.parents[i - 1]] = inertias[self.parents[i - 1]].joined(inertias[i], points[i])
+        M = dict.fromkeys(self.matrix.sparsity.entries, zero)
+        units = [inertia.apply(motion) for inertia, motion in zip(inertias[1:], motions[1:], strict=True)]
+        for i, j, unit in _list_pairs(self.parents, units, points):
+            M[i, j] = M[j, i] = motions[j + 1].dot(unit)
+        for i, rotor in enumerate(given[self.rotors.name]):
+            M[i, i] = M[i, i] + rotor
+        return Outcome(0, {self.matrix.name: [M[entry] for entry in self.matrix.sparsity.entries]})
+
+    def count(self) -> Counts:
+        """Count as the C computes: for bodies, and for pairs of them."""
+        n, pairs = len(self.parents), count_pairs(self.parents)
+        return Counts({op: n * own + pairs * _OF_ENTRY[op] for op, own in _OF_COMPOSITE.items()}, 0, 0)
+
+    def push(self, slopes: Slopes) -> Sequence[Stage]:  # noqa: ARG002  # there are none
+        """Refuse: M has no derivatives."""
+        raise TapeError(f"{self.name} has no derivatives")
+
+    def pull(self, adjoints: Adjoints) -> Pulled:  # noqa: ARG002  # likewise
+        """Refuse: M has no derivatives."""
         raise TapeError(f"{self.name} has no derivatives")
 
 
@@ -310,6 +372,11 @@ class _Moments:
         turning = w.scale(P[0, 0] + P[1, 1] + P[2, 2]) - P.apply(w)
         return _Pair(turning + self.h.cross(v), v.scale(self.m) + w.cross(self.h))
 
+    def joined(self, other: _Moments, r: Vector[Any]) -> _Moments:
+        """Add moments that are known about a point at r."""
+        h = other.h + r.scale(other.m)
+        return _Moments(self.m + other.m, self.h + h, self.P + other.P + outer(other.h, r) + outer(r, h))
+
 
 @dataclass
 class _Body:
@@ -329,10 +396,8 @@ class _Body:
 
     def carry(self, other: _Body) -> None:
         """Add the sums of a body that this one carries."""
-        r, I = other.r, other.inertia
-        h = I.h + r.scale(I.m)
-        before = self.inertia
-        self.inertia = _Moments(before.m + I.m, before.h + h, before.P + I.P + outer(I.h, r) + outer(r, h))
+        r = other.r
+        self.inertia = self.inertia.joined(other.inertia, r)
         self.p = self.p + other.p
         self.C = self.C + other.C + _skew_product(r, other.p)
         self.F = self.F + other.F.taken(r)
@@ -350,18 +415,50 @@ class _Body:
 def _place(parent: _Body, joint: int, placement: Sequence[Any], moments: Sequence[Any], rate: Any) -> _Body:
     E = parent.E.times(Matrix.of(_chunk(placement[:9], 3)))
     r = parent.E.apply(Vector.of(placement[9:]))
-    axis = E.column(joint % 3)
-    null = axis - axis
-    S = _Pair(axis, null) if joint < 3 else _Pair(null, axis)
+    S = _move(E, joint)
     V = parent.V.carried(r)
     V_S = V.bracket(S)
     V, A = V + S.scale(rate), parent.A.carried(r) + V_S.scale(rate)
-    m, h, (xx, yy, zz, xy, xz, yz) = moments[0], E.apply(Vector.of(moments[1:4])), moments[4:]
-    P = E.times(Matrix.of([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])).times(E.transposed)
-    inertia = _Moments(m, h, P)
+    inertia = _turn(E, moments)
     momentum = inertia.apply(V)
-    C = _skew(V.one).times(P) + _skew_product(h, V.two)
+    C = _skew(V.one).times(inertia.P) + _skew_product(inertia.h, V.two)
     return _Body(E, r, S, V, A, V_S, inertia, inertia, momentum.two, C, inertia.apply(A) + V.turn(momentum))
+
+
+def _move(E: Matrix[Any], joint: int) -> _Pair:
+    """Return the unit motion of a joint; `joint` is its axis, and 3 more where it slides."""
+    axis = E.column(joint % 3)
+    null = axis - axis
+    return _Pair(axis, null) if joint < 3 else _Pair(null, axis)
+
+
+def _turn(E: Matrix[Any], moments: Sequence[Any]) -> _Moments:
+    """Return the moments of a body in the axes of the base."""
+    xx, yy, zz, xy, xz, yz = moments[4:]
+    P = E.times(Matrix.of([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])).times(E.transposed)
+    return _Moments(moments[0], E.apply(Vector.of(moments[1:4])), P)
+
+
+def count_pairs(parents: Sequence[int]) -> int:
+    """Count the pairs of a body with one that carries it, or with itself: entries of M's triangle."""
+    depths = [0]
+    for parent in parents:
+        depths.append(depths[parent] + 1)
+    return sum(depths)
+
+
+def _list_pairs(
+    parents: Sequence[int], forces: Sequence[_Pair], points: Sequence[Vector[Any]]
+) -> Iterator[tuple[int, int, _Pair]]:
+    """Yield each body, from 0, and each that carries it, with a force on the first about the other's point.
+
+    `points` lead from the parent's point to the body's, from the base on.
+    """
+    for i, force in enumerate(forces):
+        j = i + 1
+        while j:
+            yield i, j - 1, force
+            force, j = force.taken(points[j]), parents[j - 1]
 
 
 def _skew(v: Vector[Any]) -> Matrix[Any]:

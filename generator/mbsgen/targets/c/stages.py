@@ -20,7 +20,7 @@ from mbsgen.procedure.repeat import Repeat
 from mbsgen.procedure.solve import Block, Factor, Solve
 from mbsgen.procedure.stages import Stage
 from mbsgen.procedure.straight import Straight
-from mbsgen.procedure.tree_dynamics import TreeDynamics
+from mbsgen.procedure.tree_dynamics import TreeDynamics, TreeMatrix
 from mbsgen.procedure.wires import Wire
 from mbsgen.roles import name_low
 from mbsgen.tape.ordering import arrange
@@ -32,7 +32,7 @@ from mbsgen.targets.parts import LENGTH, Line, Part, divide
 from mbsgen.targets.statements import Body, C, Check, Turns, wrap, write_body, write_literal
 
 WIRES, COLUMNS, ANGLES, NEWTON = "mbs_wires.h", "mbs_columns.h", "mbs_sincos.h", "mbs_newton.h"
-DYNAMICS = "mbs_dynamics.h"
+DYNAMICS, SPATIAL, MATRIX = "mbs_dynamics.h", "mbs_spatial.h", "mbs_matrix.h"
 _HEADERS: Mapping[type[Pattern], str] = {Tree: "mbs_tree.h", Symmetric: "mbs_symmetric.h", General: "mbs_general.h"}
 _FACTORS = "Where the factors of M have their entries, and the results their nonzeros in M^-1 B."
 _PLACES = "Where nonzeros stand in full arrays, and what is gathered."
@@ -456,7 +456,7 @@ def _take(writer: Writer, stage: Solve, block: Block) -> dict[str, object]:
 
 
 def _write_dynamics(writer: Writer, stage: TreeDynamics) -> None:
-    writer.headers |= {DYNAMICS: None, COLUMNS: None}
+    writer.headers |= {DYNAMICS: None, COLUMNS: None, SPATIAL: None}
     n, width = stage.size, stage.width
     parents, joints = writer.tabulate("mbs_parents", stage.parents), writer.tabulate("mbs_joints", stage.joints)
     writer.read.update(wire.name for wire in stage.reads)
@@ -504,6 +504,18 @@ def _give(writer: Writer, stage: TreeDynamics, block: Block) -> str:
         return f"mbs_give_columns({n}, {len(columns)}, {table}, {width}, mbs_right, {result});"
     places = writer.tabulate(f"mbs_places_{block.result.name}", (r * width + c for r, c in block.entries(n)))
     return f"mbs_give_entries({pattern.nnz}, {places}, mbs_right, {result});"
+
+
+def _write_matrix(writer: Writer, stage: TreeMatrix) -> None:
+    writer.headers |= {MATRIX: None, SPATIAL: None}
+    n = len(stage.parents)
+    parents, joints = writer.tabulate("mbs_parents", stage.parents), writer.tabulate("mbs_joints", stage.joints)
+    writer.read.update(wire.name for wire in stage.reads)
+    writer.locals.append(f"mbs_composite mbs_bodies[{n + 1}];")
+    given = ", ".join(map(writer.name, stage.reads))
+    writer.lines.append(
+        f"mbs_write_matrix({n}, {parents}, {joints}, {given}, mbs_bodies, {writer.name(stage.matrix)});"
+    )
 
 
 # -- iterations and maps --------------------------------------------------------------------------------------------
@@ -609,4 +621,5 @@ RULES: Mapping[type[Stage], Callable[[Writer, Any], None]] = {
     Newton: _write_newton,
     Repeat: _write_repeat,
     TreeDynamics: _write_dynamics,
+    TreeMatrix: _write_matrix,
 }
