@@ -6,23 +6,27 @@
 
 #define ROUNDING 1e-14 /* a residual that is as small is not made smaller, */
 #define FINE 1e-12     /* nor one that Newton's method left so small */
-#define SHIFT 1e-7     /* of the diagonal */
+#define SHIFTS 3       /* of the diagonal, in turn */
 #define SWEEPS 10      /* of Gauss-Seidel, before Newton's method */
 #define STEPS 12       /* of Newton's method in a row */
 #define ROUNDS 60      /* of both, with more sweeps each */
 #define EAGER 4        /* rounds that go on to FINE */
 #define CUTS 5         /* of a step of Newton's method in halves */
+#define LEAPS 40       /* whole steps, whatever the residual: points that share a load badly change their modes so */
+
+static const casadi_real SHIFT[SHIFTS] = {1e-7, 1e-5, 1e-9};
 
 typedef struct {
     const mbs_cone *p;
     casadi_real scale;                                     /* of impulses */
-    casadi_real *rho, *w, *gap, *trial, *best, *matrix;    /* rows; rows x rows */
+    casadi_real shift;                                     /* of the diagonal */
+    casadi_real *rho, *w, *gap, *trial, *best, *kept, *matrix; /* rows; rows x rows */
     casadi_int *pivots;
 } mbs_solver;
 
 casadi_int mbs_cone_reals(casadi_int rows)
 {
-    return 5 * rows + rows * rows;
+    return 6 * rows + rows * rows;
 }
 
 casadi_int mbs_cone_integers(casadi_int rows)
@@ -133,7 +137,7 @@ static void add_row(mbs_solver *s, casadi_int row, casadi_int of, casadi_real fa
     casadi_int k;
     for (k = 0; k < n; ++k)
         to[k] -= factor * s->rho[of] * W[k];
-    to[of] += factor * (1 - SHIFT);
+    to[of] += factor * (1 - s->shift);
 }
 
 /* Write 1 - dproject dy of all rows. */
@@ -169,6 +173,22 @@ static void differentiate(mbs_solver *s, const casadi_real *P)
         s->matrix[i] = (i % (n + 1) == 0) - s->matrix[i];
 }
 
+/* Write the step of Newton's method at P; return whether there is none. */
+static int find_step(mbs_solver *s, const casadi_real *P, mbs_cone_effort *effort)
+{
+    const casadi_int n = s->p->rows;
+    casadi_int i;
+    measure(s, P);
+    differentiate(s, P);
+    ++effort->steps;
+    for (i = 0; i < n; ++i)
+        s->best[i] = s->gap[i];
+    if (mbs_factorise(1, n, s->matrix, s->pivots))
+        return 1;
+    mbs_solve(1, n, s->matrix, s->pivots, 1, s->best);
+    return 0;
+}
+
 /* Take steps of Newton's method while they make the residual smaller; return it. */
 static casadi_real iterate(mbs_solver *s, casadi_real *P, casadi_real found, mbs_cone_effort *effort)
 {
@@ -176,14 +196,8 @@ static casadi_real iterate(mbs_solver *s, casadi_real *P, casadi_real found, mbs
     casadi_int i, step, cut;
     for (step = 0; step < STEPS && found > ROUNDING * s->scale; ++step) {
         casadi_real part = 1, next = found;
-        measure(s, P);
-        differentiate(s, P);
-        ++effort->steps;
-        for (i = 0; i < n; ++i)
-            s->best[i] = s->gap[i];
-        if (mbs_factorise(1, n, s->matrix, s->pivots))
+        if (find_step(s, P, effort))
             return found;
-        mbs_solve(1, n, s->matrix, s->pivots, 1, s->best);
         for (cut = 0; cut < CUTS; ++cut, part /= 2) {
             for (i = 0; i < n; ++i)
                 s->trial[i] = P[i] - part * s->best[i];
@@ -200,6 +214,33 @@ static casadi_real iterate(mbs_solver *s, casadi_real *P, casadi_real found, mbs
     return found;
 }
 
+/* Take whole steps of Newton's method from `part` P; keep the best place, and return its residual. */
+static casadi_real leap(mbs_solver *s, casadi_real *P, casadi_real part, casadi_real found, mbs_cone_effort *effort)
+{
+    const casadi_int n = s->p->rows;
+    casadi_int i, step;
+    for (i = 0; i < n; ++i)
+        s->kept[i] = P[i], s->trial[i] = part * P[i];
+    for (step = 0; step < LEAPS && found > ROUNDING * s->scale; ++step) {
+        casadi_real next;
+        if (find_step(s, s->trial, effort))
+            break;
+        for (i = 0; i < n; ++i)
+            s->trial[i] -= s->best[i];
+        next = measure(s, s->trial);
+        if (!(next < INFINITY))
+            break;
+        if (next < found) {
+            for (i = 0; i < n; ++i)
+                s->kept[i] = s->trial[i];
+            found = next;
+        }
+    }
+    for (i = 0; i < n; ++i)
+        P[i] = s->kept[i];
+    return found;
+}
+
 int mbs_cone_solve(const mbs_cone *p, casadi_real tolerance, casadi_real *P, mbs_cone_effort *effort,
                    casadi_real *reals, casadi_int *integers)
 {
@@ -208,7 +249,7 @@ int mbs_cone_solve(const mbs_cone *p, casadi_real tolerance, casadi_real *P, mbs
     casadi_real found;
     casadi_int round, k;
     s.p = p, s.rho = reals, s.w = s.rho + n, s.gap = s.w + n, s.trial = s.gap + n, s.best = s.trial + n;
-    s.matrix = s.best + n, s.pivots = integers;
+    s.kept = s.best + n, s.matrix = s.kept + n, s.pivots = integers, s.shift = SHIFT[0];
     scale(&s, P);
     found = measure(&s, P);
     for (round = 0; round < ROUNDS && found > ROUNDING * s.scale; ++round) {
@@ -216,6 +257,11 @@ int mbs_cone_solve(const mbs_cone *p, casadi_real tolerance, casadi_real *P, mbs
             sweep(&s, P);
         scale(&s, P); /* a guess may have been far too large */
         found = iterate(&s, P, measure(&s, P), effort);
+        for (k = 0; k < 2 * SHIFTS && round > 0 && found > fmin(FINE, tolerance) * s.scale; ++k) {
+            s.shift = SHIFT[k / 2];
+            found = leap(&s, P, k % 2 == 0, found, effort);
+        }
+        s.shift = SHIFT[0];
         if (found <= (round < EAGER ? fmin(FINE, tolerance) : tolerance) * s.scale)
             break;
     }

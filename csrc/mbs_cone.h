@@ -9,8 +9,8 @@
  * The residual is the largest |P - project(P - rho w)|, with rho = 1/W_ii, relative to the largest of |P_i| and
  * rho |free_i|. It vanishes at solutions only. Rounds of projected Gauss-Seidel find the modes of the blocks, and Newton's
  * method on the projection (Alart, Curnier, Computer Methods in Applied Mechanics and Engineering 92, 1991) the digits:
- * matrices of redundant contacts are singular, so W is shifted by SHIFT of its diagonal there, as in the proximal point
- * method, which changes no solution.
+ * matrices of redundant contacts are singular, so W is shifted by a part of its diagonal there, as in the proximal point
+ * method, which changes no solution. Where no step makes the residual smaller, whole steps change the modes.
  *
  * C99, reentrant, no allocation.
  */

@@ -8,7 +8,8 @@
 #define CONVERGED 1e-12 /* of velocities: the change of the last iteration */
 #define AGREES 1e-10    /* the same, where iterations shrink no more: rounding */
 #define CLOSER 10       /* times the residual of cone problems, likewise */
-#define ITERATIONS 40   /* of a step */
+#define ITERATIONS 40   /* of a step, */
+#define LATE 15         /* and after how many AGREES is the tolerance of cone problems, and closed contacts stay as they are */
 #define SLOW 0.2        /* by which an iteration shrinks, else there is a new matrix */
 #define LOST 1e3        /* a pivot below n LOST epsilon of its diagonal entry has lost its digits */
 #define HALVES 16       /* of the interval in which the factor of restitutions lies */
@@ -16,6 +17,7 @@
 #define STILL 1e-10     /* of velocities: a slower joint that is held rests */
 #define ENERGY 1e-13    /* of energies: less is rounding */
 #define SHORTER 1e-3    /* of the kinetic energy, at most, in one step */
+#define NEAR 1e-11      /* m: a distance that is as short is none: two bodies may fall side by side before impulses */
 #define MOVES 1e-14     /* m: a point whose normal moves the bodies by less cannot be pushed */
 
 typedef struct {
@@ -24,27 +26,52 @@ typedef struct {
     const casadi_real *v;  /* inputs of the step */
     casadi_real *q0, *v0, *qm, *vm, *v1, *vf, *x, *r, *old; /* nq twice, n */
     casadi_real *A, *K, *N, *slide;                   /* n x n, n x nq, nq x n, 3 points x n */
+    casadi_real *twist, *moved, *normal, *room;       /* 6 pairs x n; 3 x n; 3 for each point; for solids */
+    mbs_spot *spots;
     casadi_real *J, *B, *W, *free, *bias, *P, *grip;  /* rows x n, n x rows, rows x rows, rows */
     casadi_real *diagonal, *cone;
     casadi_int *kind, *first, *owner, *integers;      /* by block; its place among the impulses */
     casadi_int rows, blocks;
 } mbs_stepper;
 
+/* Count the points of contact, with the most that pairs of solids have. */
+static casadi_int count_points(const mbs_stepping *p)
+{
+    casadi_int k, count = p->points;
+    for (k = 0; k < p->pairs; ++k)
+        count += p->pair[k].spots;
+    return count;
+}
+
 static casadi_int count_rows(const mbs_stepping *p)
 {
-    return 3 * p->points + p->stops + p->brakes;
+    return 3 * count_points(p) + p->stops + p->brakes;
+}
+
+/* Return how many numbers the points of one pair take, and the room to find them. */
+static casadi_int measure_pairs(const mbs_stepping *p, casadi_int *room)
+{
+    casadi_int k, most = 0;
+    for (k = 0, *room = 0; k < p->pairs; ++k) {
+        const casadi_int own = mbs_solids_reals(p->pair[k].first, p->pair[k].other);
+        *room = own > *room ? own : *room;
+        most = p->pair[k].spots > most ? p->pair[k].spots : most;
+    }
+    return most * (casadi_int)(sizeof(mbs_spot) / sizeof(casadi_real));
 }
 
 casadi_int mbs_stepping_width(const mbs_stepping *p)
 {
-    return 2 * (p->group.nq + p->n) + 2 + 3 * p->points;
+    return 2 * (p->group.nq + p->n) + 2 + 3 * count_points(p);
 }
 
 casadi_int mbs_stepping_reals(const mbs_stepping *p)
 {
     const casadi_int n = p->n, nq = p->group.nq, most = count_rows(p);
+    casadi_int room;
+    const casadi_int spots = measure_pairs(p, &room);
     return 2 * nq + 8 * n + n * n + 2 * n * nq + 3 * p->points * n + 2 * n * most + most * most + 4 * most
-           + mbs_cone_reals(most);
+           + mbs_cone_reals(most) + (6 * p->pairs + 3) * n + 3 * count_points(p) + room + spots;
 }
 
 casadi_int mbs_stepping_integers(const mbs_stepping *p)
@@ -55,13 +82,16 @@ casadi_int mbs_stepping_integers(const mbs_stepping *p)
 static mbs_stepper open_stepper(const mbs_stepping *p, casadi_real h, casadi_real *reals, casadi_int *integers)
 {
     const casadi_int n = p->n, nq = p->group.nq, most = count_rows(p);
+    casadi_int room;
     mbs_stepper s;
+    measure_pairs(p, &room);
     s.p = p, s.h = h, s.factor = 1, s.reached = 0, s.v = 0, s.rows = s.blocks = 0;
     s.q0 = reals, s.qm = s.q0 + nq, s.v0 = s.qm + nq, s.vm = s.v0 + n, s.v1 = s.vm + n, s.vf = s.v1 + n;
     s.x = s.vf + n, s.r = s.x + n, s.old = s.r + n, s.diagonal = s.old + n, s.A = s.diagonal + n, s.K = s.A + n * n;
     s.N = s.K + n * nq, s.slide = s.N + nq * n, s.J = s.slide + 3 * p->points * n, s.B = s.J + most * n;
     s.W = s.B + n * most, s.free = s.W + most * most, s.bias = s.free + most, s.P = s.bias + most, s.grip = s.P + most;
-    s.cone = s.grip + most;
+    s.cone = s.grip + most, s.twist = s.cone + mbs_cone_reals(most), s.moved = s.twist + 6 * p->pairs * n;
+    s.normal = s.moved + 3 * n, s.room = s.normal + 3 * count_points(p), s.spots = (mbs_spot *)(s.room + room);
     s.kind = integers, s.first = s.kind + most, s.owner = s.first + most, s.integers = s.owner + most;
     return s;
 }
@@ -231,36 +261,71 @@ static void cross_normal(const casadi_real *n, casadi_real *t)
 static int closes(const mbs_stepper *s, const casadi_real *row, casadi_real g, casadi_real restitution)
 {
     const casadi_real before = total(s->p->n, row, s->v0), after = total(s->p->n, row, s->vf);
-    return g + (1 - restitution / 2) * s->h / 2 * (before + after) <= 0;
+    return g + (1 - restitution / 2) * s->h / 2 * (before + after) <= NEAR;
+}
+
+/* Add a point of contact, with its distance at the place of v0 h/2, its normal, and the Jacobian of its velocity. */
+static void add_point(mbs_stepper *s, casadi_int point, casadi_real g, const casadi_real *normal, const casadi_real *slide,
+                      casadi_real restitution, casadi_real coefficient)
+{
+    const casadi_int n = s->p->n;
+    casadi_real axes[9], *rows = s->J + s->rows * n;
+    casadi_int i, r;
+    write(3, 1, normal, axes);
+    cross_normal(axes, axes + 3);
+    for (r = 0; r < 3; ++r)
+        for (i = 0; i < n; ++i)
+            rows[r * n + i] = axes[3 * r] * slide[i] + axes[3 * r + 1] * slide[n + i] + axes[3 * r + 2] * slide[2 * n + i];
+    g -= total(n, rows, s->x); /* at the start */
+    if (largest(n, rows) <= MOVES || !closes(s, rows, g, restitution))
+        return;
+    write(3, 1, normal, s->normal + 3 * point);
+    open_block(s, MBS_TOUCH, 3 * point, coefficient);
+    close_row(s, restitution), close_row(s, 0), close_row(s, 0);
+}
+
+/* Add the points at which two solids touch, the first of which has a number. */
+static void add_pair(mbs_stepper *s, casadi_int k, casadi_int point)
+{
+    const mbs_stepping *p = s->p;
+    const mbs_meeting pair = p->pair[k];
+    const casadi_int n = p->n;
+    const casadi_real *v = s->twist + 6 * k * n, *turn = v + 3 * n;
+    const casadi_int found = mbs_solids_meet(pair.first, p->places + 6 * k, p->axes + 18 * k, pair.other,
+                                             p->places + 6 * k + 3, p->axes + 18 * k + 9, pair.spots, s->spots, s->room);
+    casadi_int j, i, r;
+    for (j = 0; j < found; ++j) {
+        const casadi_real *at = s->spots[j].at;
+        for (r = 0; r < 3; ++r) {
+            const casadi_int a = (r + 1) % 3, b = (r + 2) % 3;
+            for (i = 0; i < n; ++i)
+                s->moved[r * n + i] = v[r * n + i] + turn[a * n + i] * at[b] - turn[b * n + i] * at[a];
+        }
+        add_point(s, point + j, s->spots[j].gap, s->spots[j].normal, s->moved, pair.restitution, pair.coefficient);
+    }
 }
 
 static int add_points(mbs_stepper *s, mbs_stepping_record *record)
 {
     const mbs_stepping *p = s->p;
     const casadi_int n = p->n;
-    casadi_int k, i, r;
+    casadi_int k, i, point = p->points;
     for (i = 0; i < n; ++i)
         s->x[i] = s->h / 2 * s->v0[i];
     mbs_move(p->group, s->q0, s->x, p->q);
     record->kernel = call(p->touching);
+    if (!record->kernel)
+        record->kernel = call(p->meetings);
     if (record->kernel)
         return MBS_KERNEL;
-    mbs_fill_entries(p->J, 3 * p->points * n, s->slide);
-    for (k = 0; k < p->points; ++k) {
-        casadi_real axes[9], *rows = s->J + s->rows * n, g = p->clearance[k];
-        for (i = 0; i < 3; ++i)
-            axes[i] = p->direction[i + 3 * k];
-        cross_normal(axes, axes + 3);
-        for (r = 0; r < 3; ++r)
-            for (i = 0; i < n; ++i)
-                rows[r * n + i] = axes[3 * r] * s->slide[3 * k * n + i] + axes[3 * r + 1] * s->slide[(3 * k + 1) * n + i]
-                                  + axes[3 * r + 2] * s->slide[(3 * k + 2) * n + i];
-        g -= total(n, rows, s->x); /* at the start */
-        if (largest(n, rows) <= MOVES || !closes(s, rows, g, p->restitution[k]))
-            continue;
-        open_block(s, MBS_TOUCH, 3 * k, p->coefficient[k]);
-        close_row(s, p->restitution[k]), close_row(s, 0), close_row(s, 0);
-    }
+    if (p->points)
+        mbs_fill_entries(p->J, 3 * p->points * n, s->slide);
+    for (k = 0; k < p->points; ++k)
+        add_point(s, k, p->clearance[k], p->direction + 3 * k, s->slide + 3 * k * n, p->restitution[k], p->coefficient[k]);
+    if (p->pairs)
+        mbs_fill_entries(p->twist, 6 * p->pairs * n, s->twist);
+    for (k = 0; k < p->pairs; point += p->pair[k++].spots)
+        add_pair(s, k, point);
     return 0;
 }
 
@@ -268,11 +333,11 @@ static int add_points(mbs_stepper *s, mbs_stepping_record *record)
 static int collect(mbs_stepper *s, mbs_stepping_record *record)
 {
     const mbs_stepping *p = s->p;
-    const casadi_int n = p->n;
+    const casadi_int n = p->n, others = 3 * count_points(p);
     casadi_int k, i, j;
     int status;
     s->rows = s->blocks = 0;
-    status = p->points ? add_points(s, record) : 0;
+    status = p->points || p->pairs ? add_points(s, record) : 0;
     if (status)
         return status;
     for (k = 0; k < p->stops; ++k) {
@@ -281,7 +346,7 @@ static int collect(mbs_stepper *s, mbs_stepping_record *record)
         clear(n, row);
         row[stop.rate] = stop.side;
         if (closes(s, row, stop.side * (s->q0[stop.place] - stop.level), stop.restitution)) {
-            open_block(s, MBS_PUSH, 3 * p->points + k, 0);
+            open_block(s, MBS_PUSH, others + k, 0);
             close_row(s, stop.restitution);
         }
     }
@@ -291,7 +356,7 @@ static int collect(mbs_stepper *s, mbs_stepping_record *record)
         const casadi_real force = rate == 0 ? brake.still : brake.torque + brake.fall * exp(-slow * slow);
         clear(n, s->J + s->rows * n);
         s->J[s->rows * n + brake.rate] = 1;
-        open_block(s, MBS_BRAKE, 3 * p->points + p->stops + k, s->h * force);
+        open_block(s, MBS_BRAKE, others + p->stops + k, s->h * force);
         close_row(s, 0);
     }
     for (i = 0; i < n; ++i)
@@ -419,9 +484,11 @@ static int iterate(mbs_stepper *s, casadi_real tolerance, const casadi_real *imp
         for (i = 0; i < n; ++i)
             change = fmax(change, fabs(s->v1[i] - s->old[i]));
         size = fmax(largest(n, s->v0), fmax(largest(n, s->vf), largest(n, s->v1)));
-        if (change <= CONVERGED * size || (k > 1 && change > before / 2 && change <= fmax(AGREES, CLOSER * s->reached) * size))
+        if (change <= CONVERGED * size)
             return 0;
-        if (!renewed && change > SLOW * before) {
+        if (k > 1 && change > before / 2 && change <= fmax(k < LATE ? AGREES : tolerance, CLOSER * s->reached) * size)
+            return 0;
+        if (!renewed && change > SLOW * before && k < LATE) {
             status = renew(s, impulses, record);
             renewed = 1;
             if (status)
@@ -445,7 +512,7 @@ static void hold(mbs_stepper *s)
     const casadi_real still = STILL * fmax(largest(p->n, s->v0), largest(p->n, s->vf));
     casadi_int k;
     for (k = 0; k < s->blocks; ++k) {
-        const casadi_int own = s->owner[k] - 3 * p->points;
+        const casadi_int own = s->owner[k] - 3 * count_points(p);
         const casadi_real P = s->P[s->first[k]];
         casadi_real *rate;
         if (s->kind[k] == MBS_TOUCH || !(s->kind[k] == MBS_PUSH ? P > 0 : fabs(P) < s->grip[k]))
@@ -505,14 +572,13 @@ static void keep(const mbs_stepper *s, casadi_real *impulses, casadi_real *vecto
     const mbs_stepping *p = s->p;
     casadi_int k, i, j;
     clear(count_rows(p), impulses);
-    clear(3 * p->points, vectors);
+    clear(3 * count_points(p), vectors);
     for (k = 0; k < s->blocks; ++k) {
         for (i = 0; i < count_own(s, k); ++i)
             impulses[s->owner[k] + i] = s->P[s->first[k] + i];
         if (s->kind[k] == MBS_TOUCH) {
             casadi_real axes[9];
-            for (i = 0; i < 3; ++i)
-                axes[i] = p->direction[s->owner[k] + i];
+            write(3, 1, s->normal + s->owner[k], axes);
             cross_normal(axes, axes + 3);
             for (i = 0; i < 3; ++i)
                 for (j = 0; j < 3; ++j)

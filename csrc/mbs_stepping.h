@@ -5,7 +5,8 @@
  *     h Phi(qm, vm, (v1 - v)/h) = J^T P,    w = J v1 + e min(0, J v)   and P as mbs_cone.h states, in each closed contact
  *
  * Without contacts it is the implicit midpoint rule, of order 2. A contact is closed where its distance g would vanish
- * within the step, by g + (1 - e/2) h (J v + J vf)/2 <= 0 with the velocity vf without impulses. Impacts have Newton's law
+ * within the step, by g + (1 - e/2) h (J v + J vf)/2 <= 0 with the velocity vf without impulses. Two solids touch at the
+ * points that mbs_solids.h finds at the place q tau(h/2 v). Impacts have Newton's law
  * for the normal parts; where impulses would create energy, the restitutions e of the step are smaller. Newton's
  * iterations for v1 keep their matrix A = h dPhi/dv1 while they shrink fast.
  *
@@ -24,6 +25,7 @@
 #include "mbs_cone.h"
 #include "mbs_explicit.h"
 #include "mbs_group.h"
+#include "mbs_solids.h"
 
 #ifdef MBS_SINGLE /* names in object files say the precision */
 #define mbs_stepping_reals mbs_stepping_reals_float
@@ -48,18 +50,30 @@ typedef struct {
     casadi_real torque, fall, slowness, still;
 } mbs_brake;
 
+/* Two solids in rigid contact, at `spots` points at most. */
 typedef struct {
-    casadi_int n, m, points, stops, brakes; /* velocities, inputs, points of rigid contact, stops, joints with friction */
+    const mbs_solid *first, *other;
+    casadi_int spots;
+    casadi_real restitution, coefficient;
+} mbs_meeting;
+
+typedef struct {
+    casadi_int n, m, points, pairs, stops, brakes; /* velocities, inputs, points of rigid contact, pairs of solids, stops,
+                                                      joints with friction */
     casadi_real *q, *qd, *qdd, *v;          /* where kernels read */
     const casadi_real *Phi, *clearance, *direction, *kinetic, *potential, *power; /* and write */
+    const casadi_real *places, *axes; /* of solids, two of each pair: 3 and 9 each */
     mbs_entries K, C, M, N, J; /* dPhi by q, qd, qdd; rates of q by qd; velocities of points, 3 points x n */
+    mbs_entries twist;         /* of pairs, 6 pairs x n: velocity at the base's origin, and angular velocity */
     mbs_call linearised;       /* Phi with these derivatives */
     mbs_call residual;         /* Phi alone */
     mbs_call touching;         /* clearance, direction, J; NULL without points */
+    mbs_call meetings;         /* places, axes, twist; NULL without pairs */
     mbs_call change;           /* N; NULL where rates are velocities */
     mbs_call energy, work;     /* kinetic, potential; power */
     mbs_group group;
     const casadi_real *restitution, *coefficient; /* by point */
+    const mbs_meeting *pair;
     const mbs_stop *stop;
     const mbs_brake *brake;
 } mbs_stepping;
@@ -82,11 +96,11 @@ casadi_int mbs_stepping_reals(const mbs_stepping *plant);
 casadi_int mbs_stepping_integers(const mbs_stepping *plant);
 
 /* Entries of a row of results: coordinates and velocities at the end of a step, both in its middle, the energy that impacts
- * and friction took, then three components of the impulse of each point, in the base frame. */
+ * and friction took, then three components of the impulse of each point, those of pairs last, in the base frame. */
 casadi_int mbs_stepping_width(const mbs_stepping *plant);
 
 /* Take at most `steps` steps of length h from a state of nq + n numbers. `inputs` has a row of m for each step, v_step
- * apart. `impulses` holds 3 numbers for each point, then one for each stop and each joint with friction: a guess, and
+ * apart. `impulses` holds 3 numbers for each point, points of pairs last, then one for each stop and each joint with friction: a guess, and
  * afterwards the last step's. Writes a row of results for each step; returns how many were taken, and in `status` why no
  * more. Cone problems are solved to the tolerance, or end the run. */
 casadi_int mbs_stepping_run(const mbs_stepping *plant, casadi_real tolerance, casadi_real h, casadi_int steps,

@@ -22,6 +22,7 @@ from mbsgen.manifest import (
     Axle,
     Ball,
     Brick,
+    Corners,
     Drawing,
     Element,
     Foot,
@@ -45,6 +46,7 @@ from mbsgen.model.model import (
     Contact,
     ForceElement,
     Frame,
+    Hull,
     LoopEnd,
     Model,
     Placement,
@@ -111,7 +113,7 @@ class _Seats:
     def __init__(self, model: Model, texts: Texts) -> None:
         ends: list[LoopEnd] = [end for x in model.forces for end in x.path]
         ends += [LoopEnd(x.body, x.placement) for x in model.contacts]
-        turned = [x.other for x in model.contacts if isinstance(x.other, Block | Capsule)]
+        turned = [x.other for x in model.contacts if isinstance(x.other, Block | Capsule | Hull)]
         ends += [LoopEnd(x.body, x.placement) for x in turned]
         ends += [LoopEnd(body.name) for body in model.bodies]
         ends += [LoopEnd(x.body, x.placement) for x in model.frames if x.name in find_read_frames(model)]
@@ -239,7 +241,7 @@ def _has_arrow(contact: Contact) -> bool:
 def _describe_contact(contact: Contact, seats: _Seats, values: Mapping[str, float]) -> Touch:
     seat, other = seats.find(contact.body, contact.placement), contact.other
     carrier = seats.find(other.body, HERE if isinstance(other, Plane | Sphere) else other.placement)
-    plane, normal, ball, brick, rod = None, None, None, None, None
+    plane, normal, ball, brick, rod, corners = None, None, None, None, None, None
     match other:
         case Plane():
             direction = apply(carrier.axes, _floats(other.normal, values))
@@ -260,6 +262,13 @@ def _describe_contact(contact: Contact, seats: _Seats, values: Mapping[str, floa
                 radius=_float(other.radius, values),
                 length=_float(other.length, values),
             )
+        case Hull():
+            corners = Corners(
+                centre=_point((carrier.frame, carrier.position)),
+                axes=list_columns(carrier.axes),
+                radius=_float(other.radius, values),
+                points=tuple(_triple(_floats(x, values)) for x in other.points),
+            )
     return Touch(
         name=contact.name,
         centre=_point((seat.frame, seat.position)),
@@ -272,6 +281,7 @@ def _describe_contact(contact: Contact, seats: _Seats, values: Mapping[str, floa
         sphere=ball,
         box=brick,
         capsule=rod,
+        hull=corners,
         points=tuple(_triple(_floats(x, values)) for x in contact.points) or None,
     )
 

@@ -67,6 +67,7 @@ from mbsgen.model.model import (
     ForceElement,
     Model,
     Placement,
+    Plane,
     Sphere,
     Triple,
     Visual,
@@ -271,7 +272,7 @@ class _Writing:
                 numbers: dict[str | int, Expression] = {key: getattr(other, key) for key in ("radius", "length")}
                 formulas += self._write_numbers(("contacts", k, "capsule"), numbers)
             # a plane and a sphere have a point in the axes of their body, a box and a capsule have their own axes
-            at = (other.placement, ORIGIN) if isinstance(other, Block | Capsule) else (HERE, other.position)
+            at = (HERE, other.position) if isinstance(other, Plane | Sphere) else (other.placement, ORIGIN)
             formulas += self._write_point(("contacts", k, *side), other.body, *at)
         except ExpressionError:
             return found.model_copy(update={"law": None})

@@ -152,6 +152,23 @@ class RigidPoint(_Entry):
         return self.name if self.is_coupling else self.name.rpartition(".")[0]
 
 
+class Solid(_Entry):
+    """The convex hull of points in a frame, rounded by a radius."""
+
+    points: tuple[tuple[float, float, float], ...]  # [m]
+    radius: float  # [m]
+
+
+class RigidPair(_Entry):
+    """Two solids in rigid contact, whose forces no kernel has."""
+
+    name: str
+    first: Solid
+    other: Solid
+    restitution: float
+    coefficient: float  # of dry friction
+
+
 class OpenJoint(_Entry):
     """A joint whose rigid stops and dry friction a use gives: their force is a signal, in the direction of q."""
 
@@ -344,8 +361,17 @@ class Rod(_Entry):
     length: float  # between the centres of its ends [m]
 
 
+class Corners(_Entry):
+    """A hull that another side touches: balls about its points."""
+
+    centre: Point
+    axes: tuple[float, ...]  # in the frame of the centre, one after the other
+    radius: float  # [m]; 0: points
+    points: tuple[tuple[float, float, float], ...]  # along the axes [m]
+
+
 class Touch(_Entry):
-    """A contact of a sphere, a box, a hull or a point with a plane, or of a sphere or a point with another solid."""
+    """A contact of a sphere, a box, a hull or a point with a plane or another solid."""
 
     name: str
     centre: Point
@@ -358,13 +384,13 @@ class Touch(_Entry):
     sphere: Ball | None = None  # in place of a plane
     box: Brick | None = None  # in place of a plane
     capsule: Rod | None = None  # in place of a plane
+    hull: Corners | None = None  # in place of a plane
     points: tuple[tuple[float, float, float], ...] | None = None  # of a hull, along `axes` [m]
 
     @model_serializer(mode="wrap")
     def _leave_out(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        absent = [
-            key for key in ("plane", "normal", "sphere", "box", "capsule", "points") if getattr(self, key) is None
-        ]
+        keys = ("plane", "normal", "sphere", "box", "capsule", "hull", "points")
+        absent = [key for key in keys if getattr(self, key) is None]
         return {k: x for k, x in write(self).items() if k not in absent}
 
 
@@ -490,6 +516,7 @@ class Manifest(_Entry):
     signals: tuple[str, ...] = ()  # further entries of w: numbers that forces read; TIME is the last one
     contacts: tuple[str, ...] = ()  # points of contact, by the entries of `distance`
     rigid: tuple[RigidPoint, ...] = ()  # points of rigid contacts, by the entries of `clearance`
+    meetings: tuple[RigidPair, ...] = ()  # pairs of solids in rigid contact
     open_joints: tuple[OpenJoint, ...] = ()  # whose rigid stops and dry friction are inputs here
     open_contacts: tuple[OpenContact, ...] = ()  # whose forces are inputs here
     elements: tuple[str, ...] = ()  # springs and cables
@@ -580,6 +607,11 @@ class Manifest(_Entry):
         return (*joints, *parts, *self.signals)
 
     @property
+    def touching(self) -> tuple[str, ...]:
+        """Names of rigid contacts, and rigid stops of numbers: first points, then pairs of solids."""
+        return (*(point.name for point in self.rigid), *(pair.name for pair in self.meetings))
+
+    @property
     def switching(self) -> tuple[str, ...]:
         """Names of the joints with dry friction or rigid stops, which no kernel has: simulations alone do."""
         return tuple(c.name for c in self.coordinates if not c.is_smooth)
@@ -614,6 +646,7 @@ def write(manifest: Manifest) -> str:
             "signals",
             "contacts",
             "rigid",
+            "meetings",
             "open_joints",
             "open_contacts",
             "elements",

@@ -14,7 +14,7 @@ from itertools import pairwise
 from typing import Any
 
 from mbsgen.algebra.dense import Dense, Row, add, apply, cross, find_eigen, transpose
-from mbsgen.manifest import Appearance, Drawing, Manifest, Mass, Point, Touch
+from mbsgen.manifest import Appearance, Corners, Drawing, Manifest, Mass, Point, Touch
 from mbsgen.style import PALETTE, mix
 
 Solid = dict[str, Any]
@@ -175,10 +175,10 @@ def _draw_contact(touch: Touch) -> Iterator[Solid]:
     if touch.size is not None:
         yield _solid("contacts", frame, "box", touch.size, TOUCH, at, touch.axes)
     else:
-        x, y, z = touch.axes[:3], touch.axes[3:6], touch.axes[6:]
-        for point in touch.points or ((0.0, 0.0, 0.0),):
-            place = add(at, apply(transpose((x, y, z)), point))
-            yield _solid("contacts", frame, "ellipsoid", (2 * touch.radius,) * 3, TOUCH, place)
+        points = touch.points or ((0.0, 0.0, 0.0),)
+        yield from _draw_corners(Corners(centre=touch.centre, axes=touch.axes, radius=touch.radius, points=points))
+    if touch.hull is not None:
+        yield from _draw_corners(touch.hull)
     if touch.box is not None:
         yield _solid(
             "contacts", touch.box.centre.frame, "box", touch.box.size, TOUCH, touch.box.centre.at, touch.box.axes
@@ -190,6 +190,13 @@ def _draw_contact(touch: Touch) -> Iterator[Solid]:
         rod = touch.capsule
         axes = _along(rod.axis)
         yield from _draw_capsule("contacts", rod.centre.frame, rod.radius, rod.length, TOUCH, rod.centre.at, axes)
+
+
+def _draw_corners(hull: Corners) -> Iterator[Solid]:
+    x, y, z = hull.axes[:3], hull.axes[3:6], hull.axes[6:]
+    for point in hull.points:
+        place = add(hull.centre.at, apply(transpose((x, y, z)), point))
+        yield _solid("contacts", hull.centre.frame, "ellipsoid", (2 * hull.radius,) * 3, TOUCH, place)
 
 
 def _along(z: Row) -> Row:

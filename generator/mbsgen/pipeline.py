@@ -32,7 +32,9 @@ from mbsgen.manifest import (
     Loop,
     Manifest,
     Parameter,
+    RigidPair,
     RigidPoint,
+    Solid,
     Stops,
     Wrench,
 )
@@ -44,7 +46,7 @@ from mbsgen.model.checks.checks import find_faults
 from mbsgen.model.model import Model
 from mbsgen.model.reader import ModelWarning, read_model
 from mbsgen.model.symbols import exact, to_double, total
-from mbsgen.model.tree import IDENTITY, NO_FORCE, Barrier, DryFriction, Kind, Motion, Rigid, Tree, Vector
+from mbsgen.model.tree import IDENTITY, NO_FORCE, Barrier, DryFriction, Kind, Meeting, Motion, Rigid, Tree, Vector
 from mbsgen.model.writer import write_model
 from mbsgen.output import write_folder
 from mbsgen.procedure.procedure import Computation, Procedure
@@ -467,6 +469,7 @@ def _describe(tree: Tree, unit: Unit, sources: Sources, staged: Model, shown: Mo
         signals=tree.signals,
         contacts=tuple(x.name for x in tree.distances),
         rigid=tuple(_describe_rigid(name, point) for name, point in tree.rigid),
+        meetings=tuple(map(_describe_meeting, tree.meetings)),
         elements=tree.elements,
         lengths=tuple(x.length.label for x in tree.definitions if x.length is not None),
         loops=loops,
@@ -478,6 +481,13 @@ def _describe(tree: Tree, unit: Unit, sources: Sources, staged: Model, shown: Mo
         formulas=write_formulas(shown, _list_points(tree, frames)),
         kernels=sources.kernels,
         tolerance=unit.tolerance,
+    )
+
+
+def _describe_meeting(pair: Meeting) -> RigidPair:
+    first, other = (Solid(points=x.points, radius=x.radius) for x in (pair.first, pair.other))
+    return RigidPair(
+        name=pair.name, first=first, other=other, restitution=pair.restitution, coefficient=pair.coefficient
     )
 
 

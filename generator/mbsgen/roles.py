@@ -87,6 +87,7 @@ class Axis(Enum):
     SENSORS = "sensors"  # one entry or more for each sensor
     CONTACTS = "contacts"  # the points of contact
     RIGID = "rigid"  # the points of rigid contacts
+    MEETINGS = "meetings"  # the pairs of solids in rigid contact
     CONSTRAINTS = "constraints"  # the equations of loops and constraints, independent ones
     INDEPENDENT = "independent"  # the velocities that determine all others
     DRIVEN = "driven"  # the joints whose accelerations are given

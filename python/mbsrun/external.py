@@ -23,7 +23,9 @@ INTEGER = "casadi_int"  # the integers of functions that CasADi can call
 START = Extent(("impl", "frames"), 1)
 SWITCHED = ("impl", "exp1", "exp2", "semi", "semi_res", "energy", "power", "frames")
 FOLLOWED = Extent(
-    SWITCHED, 1, optional=("touching", "distances", "rates", "loops", "loop_rates", "loop_jacobian", "loop_forces")
+    SWITCHED,
+    1,
+    optional=("touching", "meetings", "distances", "rates", "loops", "loop_rates", "loop_jacobian", "loop_forces"),
 )
 LOOPS = ("loops", "loop_rates", "loop_jacobian", "loop_forces")  # short, and a program that needs one needs others
 

@@ -113,13 +113,16 @@ def _list_names(manifest: Manifest) -> Iterator[tuple[str, dict[str, str]]]:
     yield "arm", arms
     stops = {point.name for point in manifest.rigid if point.is_stop}  # of numbers in any unit
     yield "gap", {f"gap_{name}": "" if name in stops else "m" for name in manifest.contacts}
-    if len(manifest.rigid) in (0, len(manifest.contacts)):  # no function has forces of both kinds of contacts
-        yield "normal", {f"normal_{name}": "" if name in stops else "N" for name in manifest.contacts}
-        placed = [name for name in manifest.contacts if name not in stops]
+    pairs = [pair.name for pair in manifest.meetings]
+    yield "solid_gap", {f"gap_{name}": "m" for name in pairs}
+    if len(manifest.rigid) in (0 if not pairs else len(manifest.contacts), len(manifest.contacts)):
+        every = (*manifest.contacts, *pairs)  # no function has forces of both kinds of contacts
+        yield "normal", {f"normal_{name}": "" if name in stops else "N" for name in every}
+        placed = [name for name in every if name not in stops]
         yield "contact_force", {f"f{axis}_{name}": "N" for name in placed for axis in AXES}
     equations = zip(manifest.equations, list_multiplier_units(manifest), strict=True)
     yield "lam", {f"lam_{name}": unit for name, unit in equations}
-    is_known = manifest.appearance is not None and not manifest.rigid
+    is_known = manifest.appearance is not None and not manifest.touching
     axles = [] if manifest.appearance is None or not is_known else [axle.name for axle in manifest.appearance.axles]
     yield "reaction", {f"reaction_{name}": "N" for name in axles}
     yield "reaction_force", {f"reaction_{axis}_{name}": "N" for name in axles for axis in AXES}

@@ -16,8 +16,8 @@ def find_hidden(manifest: Manifest, *, stops: bool) -> tuple[str, str] | None:
     dry = [c.name for c in manifest.coordinates if c.friction is not None]
     if dry:
         return f"dry friction of joints {', '.join(dry)}, which is in no kernel", LOADS if manifest.loaded else FRICTION
-    if manifest.rigid:
-        names = ", ".join(point.name for point in manifest.rigid)
+    if manifest.touching:
+        names = ", ".join(manifest.touching)
         return f"forces of rigid contacts {names}, which are in no kernel", CONTACTS
     if stops and manifest.switching:
         return f"rigid stops of joints {', '.join(manifest.switching)}, which are in no kernel", STOPS

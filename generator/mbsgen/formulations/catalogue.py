@@ -21,7 +21,7 @@ from mbsgen.formulations import closure, condition, coupling, exp1, exp2, impl, 
 from mbsgen.formulations.loops import closing, projection, reduced
 from mbsgen.formulations.planning import dynamics_alone
 from mbsgen.formulations.reductions import Reductions
-from mbsgen.formulations.results import elements, energy, poses, reactions, regressor, touching, velocities
+from mbsgen.formulations.results import elements, energy, meetings, poses, reactions, regressor, touching, velocities
 from mbsgen.model.tree import Tree
 from mbsgen.procedure.procedure import Computation, Procedure, straight
 from mbsgen.roles import Role
@@ -46,8 +46,13 @@ CONTACTS = Need(
 RIGID = Need(
     lambda tree: bool(tree.rigid), "{name} is of rigid contacts, and {tree} has none; give some a `restitution`"
 )
+MEETINGS = Need(
+    lambda tree: bool(tree.meetings),
+    "{name} is of solids in rigid contact, and {tree} has none; give boxes or hulls that touch a `restitution`",
+)
 COMPLIANT = Need(
-    lambda tree: not tree.rigid, "{name} misses the forces of rigid contacts, which {tree} has; simulations find them"
+    lambda tree: not (tree.rigid or tree.meetings),
+    "{name} misses the forces of rigid contacts, which {tree} has; simulations find them",
 )
 ELEMENTS = Need(
     lambda tree: bool(tree.elements), "{name} is of springs and cables, and {tree} has none; name some under `forces:`"
@@ -204,6 +209,13 @@ FUNCTIONS: Mapping[str, Entry] = {
         results=(ports.CLEARANCE, ports.CONTACT_NORMAL, ports.CONTACT_JACOBIAN),
         order=1,
         needs=(RIGID,),
+    ),
+    "meetings": Entry(
+        _plainly(meetings.build),
+        "poses and relative velocities of solids in rigid contact",
+        results=(ports.SOLID_PLACES, ports.SOLID_AXES, ports.SOLID_TWISTS),
+        order=1,
+        needs=(MEETINGS,),
     ),
     "lengths": Entry(
         _plainly(elements.build_lengths),

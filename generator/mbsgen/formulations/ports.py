@@ -125,6 +125,27 @@ CONTACT_JACOBIAN = Port(
     Axis.VELOCITIES,
     meaning="three rows for each point of rigid contact: slide qd is its velocity relative to the other side",
 )
+SOLID_PLACES = Port(
+    "place",
+    Role.RESULT,
+    cols=Axis.MEETINGS,
+    unit="m",
+    meaning="origins of the frames of both solids of each pair in the base frame, a column each",
+)
+SOLID_AXES = Port(
+    "axes",
+    Role.RESULT,
+    cols=Axis.MEETINGS,
+    meaning="axes of these frames as columns, in the base frame",
+)
+SOLID_TWISTS = Port(
+    "twist",
+    Role.RESULT,
+    Axis.MEETINGS,
+    Axis.VELOCITIES,
+    meaning="six rows for each pair: twist qd is the velocity at the base's origin, and the angular velocity, of the "
+    "first solid relative to the other one",
+)
 VELOCITY = Port(
     "v",
     Role.RESULT,

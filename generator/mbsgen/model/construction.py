@@ -47,6 +47,7 @@ from mbsgen.model.model import (
     Frame,
     Friction,
     Grip,
+    Hull,
     Inertia,
     Joint,
     Law,
@@ -323,6 +324,18 @@ def capsule(
     return Capsule(number(radius), number(length), body, _place(position, orientation))
 
 
+def hull(
+    points: Sequence[Vector],
+    radius: Quantity = 0.0,
+    body: str = BASE,
+    *,
+    position: Vector = _ORIGIN,
+    orientation: Turns = (),
+) -> Hull:
+    """Make the convex hull of points on a body, or on the base; its edges are rounded by the radius."""
+    return Hull(tuple(map(vector, points)), number(radius), body, _place(position, orientation))
+
+
 def contact(
     name: str,
     body: str,
@@ -343,7 +356,7 @@ def contact(
     points: Sequence[Vector] = (),
     law: SphereLaw | None = None,
 ) -> Contact:
-    """Make a contact of a sphere with a plane, a sphere, a box or a capsule, or of another shape with a plane.
+    """Make a contact of a sphere, a box or a hull with a plane, a sphere, a box, a capsule or a hull.
 
     A compliant contact has a stiffness, and `friction` is a coefficient and a speed [m/s]; a rigid one has a
     restitution, and `friction` is a coefficient. `wheel` is the radius of a circle, its axis, and perhaps the length of

@@ -91,9 +91,11 @@ from mbsgen.model.tree import (
     Definition,
     Distance,
     Length,
+    Meeting,
     Probe,
     Reading,
     Rigid,
+    Solid,
     Vector,
     Wrench,
     rate_symbol,
@@ -234,6 +236,16 @@ class Side:
 
 
 @dataclass(frozen=True)
+class Shape:
+    """A solid in a frame on a body: the hull of points, rounded by a radius."""
+
+    anchor: Anchor  # the origin of the frame
+    axes: tuple[Vector, ...]  # in the frame of that body
+    points: tuple[tuple[float, float, float], ...]
+    radius: float
+
+
+@dataclass(frozen=True)
 class Sight:
     """A number of the pose that stops may read: the coordinate of a joint, or of a frame's origin."""
 
@@ -282,6 +294,7 @@ class Loads:
         self.definitions: list[Definition] = []
         self.wrenches: list[Wrench] = []
         self.distances: list[Distance] = []
+        self.meetings: list[Meeting] = []
         self.pushes: list[tuple[str, Expr]] = []  # forces in joints, by their names
         self._lines: dict[str, _Line] = {}
 
@@ -533,6 +546,18 @@ class Loads:
             c = self._probe(name, "centre", Reading.POSITION, centre)
             bodies = centre.body, side.anchor.body
             self.distances.append(Distance(name, met.gap, Rigid(bodies, met.n, add(c, met.arm), *law)))
+
+    def add_meeting(self, name: str, shapes: Sequence[Shape], law: tuple[float, float]) -> None:
+        """Add two solids in rigid contact; `law` as of `add_rigid`."""
+        solids = []
+        for key, shape in zip(("first", "other"), shapes, strict=True):
+            place = self._probe(name, f"{key} place", Reading.POSITION, shape.anchor)
+            x, y, z = (
+                self._probe(name, f"{key} {k}", Reading.DIRECTION, Anchor(shape.anchor.body, a))
+                for k, a in zip("xyz", shape.axes, strict=True)
+            )
+            solids.append(Solid(shape.anchor.body, place, (x, y, z), shape.points, shape.radius))
+        self.meetings.append(Meeting(name, solids[0], solids[1], *law))
 
     def add_stop(
         self,

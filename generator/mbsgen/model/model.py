@@ -481,7 +481,17 @@ class Capsule:
     placement: Placement = HERE  # of its centre, in the body's frame; the segment is along the z axis
 
 
-Other = Plane | Sphere | Block | Capsule  # the side that a contact touches
+@dataclass(frozen=True)
+class Hull:
+    """The convex hull of points on a body, or on the base, with its edges rounded by a radius."""
+
+    points: tuple[Triple, ...]  # in its frame [m]
+    radius: Expression = ZERO  # [m]
+    body: str = BASE
+    placement: Placement = HERE  # of its frame, in the body's frame
+
+
+Other = Plane | Sphere | Block | Capsule | Hull  # the side that a contact touches
 GROUND = Plane()
 HERTZ, WIDTH = Number(1.5), Number(1e-4)  # of a contact, unless it says otherwise
 
@@ -505,9 +515,9 @@ class Wheel:
 
 @dataclass(frozen=True)
 class Contact:
-    """A contact of a sphere with a plane, a sphere, a box or a capsule, or of further shapes with a plane.
+    """A contact of a sphere, a box, or the hull of points with a plane, a sphere, a box, a capsule, or a hull.
 
-    These are a wheel, a cylinder, a box, and the hull of points, with its edges rounded by the radius.
+    Edges of a hull are rounded by the radius. A wheel or a cylinder touches a plane.
     """
 
     name: str
@@ -538,6 +548,13 @@ class Contact:
         return self.restitution is not None
 
     @property
+    def is_of_solids(self) -> bool:
+        """Return whether two solids with corners touch, at points that follow from their pose."""
+        if isinstance(self.other, Plane) or (isinstance(self.other, Sphere) and self.other.inside):
+            return False  # each corner touches by itself
+        return isinstance(self.other, Hull) or self.size is not None or bool(self.points)
+
+    @property
     def key(self) -> str:
         """The key of the touched side in a file."""
         match self.other:
@@ -547,6 +564,8 @@ class Contact:
                 return "box"
             case Capsule():
                 return "capsule"
+            case Hull():
+                return "hull"
         return "plane"
 
 

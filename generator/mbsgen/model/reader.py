@@ -219,8 +219,7 @@ def _check_contacts(section: schema.ModelSection, tyres: Mapping[int, TyreFile])
         if contact.wheel is not None and contact.wheel.radius is None and "UNLOADED_RADIUS" not in known:
             yield Finding(("contacts", i, "wheel", "radius"), "missing", "give it, or a tyre's file that has it")
         yield from _check_tyre(("contacts", i, "tyre"), contact.tyre)
-        sides = {"plane": contact.plane, "sphere": contact.sphere, "box": contact.box, "capsule": contact.capsule}
-        given = [key for key, side in sides.items() if side is not None]
+        given = [key for key in ("plane", "sphere", "box", "capsule", "hull") if getattr(contact, key) is not None]
         if len(given) > 1:
             finding = " and ".join(f"a {key}" for key in given)
             yield Finding(("contacts", i, given[1]), finding, "give one of them, or make a contact for each")

@@ -347,6 +347,28 @@ class Distance:
 
 
 @dataclass(frozen=True)
+class Solid:
+    """The convex hull of points in a frame that moves with a body, rounded by a radius."""
+
+    body: int  # 0: the base
+    place: Vector  # of the origin of the frame, over the symbols of a probe, in the base frame [m]
+    axes: tuple[Vector, Vector, Vector]  # of the frame, likewise
+    points: tuple[tuple[float, float, float], ...]  # in that frame [m]
+    radius: float  # [m]
+
+
+@dataclass(frozen=True)
+class Meeting:
+    """Two solids that may touch, whose forces no kernel has."""
+
+    name: str
+    first: Solid
+    other: Solid
+    restitution: float
+    coefficient: float  # of dry friction
+
+
+@dataclass(frozen=True)
 class Tree:
     """A mechanism, ready for the recursions."""
 
@@ -359,6 +381,7 @@ class Tree:
     probes: tuple[Probe, ...] = ()  # what wrenches and force laws read of the state
     definitions: tuple[Definition, ...] = ()  # what they have in common
     distances: tuple[Distance, ...] = ()  # of contacts, by their definitions
+    meetings: tuple[Meeting, ...] = ()  # solids that may touch
     signals: tuple[str, ...] = ()  # numbers that forces read, the last entries of the input w; TIME is the last one
     quaternions: tuple[Quaternion, ...] = ()
     couplings: tuple[Coupling, ...] = ()

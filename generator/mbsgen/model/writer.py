@@ -37,6 +37,7 @@ from mbsgen.model.model import (
     ForceElement,
     Frame,
     Grip,
+    Hull,
     Inertia,
     Joint,
     Law,
@@ -391,6 +392,8 @@ def _write_other(other: Other) -> Mapped:
         return {**content, "size": _write_triple(other.size)}
     if isinstance(other, Capsule):
         return content | {key: _write_number(getattr(other, key)) for key in ("radius", "length")}
+    if isinstance(other, Hull):
+        return {**content, "points": [_write_triple(x) for x in other.points], **_write_numbers(other, ("radius",))}
     return content if other.normal == GROUND.normal else {**content, "normal": _write_axis(other.normal)}
 
 

@@ -614,6 +614,27 @@ def _touching(truth: Truth, tape: Computation, results: Results) -> Iterator[Com
     yield Comparison("slide", found, expected, scale)
 
 
+def _meetings(truth: Truth, tape: Computation, results: Results) -> Iterator[Comparison]:
+    """Compare poses of solids, and the twist with the velocities of both bodies at the base's origin."""
+    truth = truth.moving
+    pairs = truth.tree.meetings
+    solids = [x for pair in pairs for x in (pair.first, pair.other)]
+    yield Comparison("place", results["place"], [x for solid in solids for x in truth.read(solid.place)], truth.reach)
+    axes = [x for solid in solids for axis in solid.axes for x in truth.read(axis)]
+    yield Comparison("axes", results["axes"], axes, Decimal(1))
+    found, expected = [ZERO] * (6 * len(pairs)), list[Decimal]()
+    for (r, c), value in zip(tape.output("twist").sparsity.entries, results["twist"], strict=True):
+        found[r] += value * truth.qd[c]
+    for pair in pairs:
+        bodies = pair.first.body, pair.other.body
+        for first, other in (
+            [truth.carry(body, [ZERO] * 3) for body in bodies],
+            [truth.speeds[body][1] for body in bodies],
+        ):
+            expected += [a - b for a, b in zip(first, other, strict=True)]
+    yield Comparison("twist", found, expected, truth.swing)
+
+
 def _elements(truth: Truth, _: Computation, results: Results) -> Iterator[Comparison]:
     """Compare with the force F on the first end, and with d to the second one."""
     lengths, tensions, rates = [], [], []
@@ -846,6 +867,9 @@ EXPECTATIONS: Mapping[Port, Expectation] = {
     ports.CLEARANCE: _touching,
     ports.CONTACT_NORMAL: _touching,
     ports.CONTACT_JACOBIAN: _touching,
+    ports.SOLID_PLACES: _meetings,
+    ports.SOLID_AXES: _meetings,
+    ports.SOLID_TWISTS: _meetings,
     ports.VELOCITY: _velocities,
     ports.ANGULAR_VELOCITY: _velocities,
     ports.ACCELERATION: _accelerations_of_sensors,

@@ -20,7 +20,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from mbsgen.manifest import Appearance, Manifest, Mass, Point, Rod
+from mbsgen.manifest import Appearance, Corners, Manifest, Mass, Point, Rod
 from mbsgen.style import PALETTE, mix
 from mbsrun.animation.film import Actor, Course, Kind, Layer, Line, Mesh, Solid, Triple
 from mbsrun.animation.visuals import Visual
@@ -207,6 +207,8 @@ def _draw_contacts(appearance: Appearance, size: float) -> Iterator[Solid]:
             for point in each.points or ((0.0, 0.0, 0.0),):
                 place = _triple(np.array(at) + np.array(point) @ C)
                 yield Solid(Layer.CONTACTS, frame, Kind.ELLIPSOID, (diameter,) * 3, "#009e73", place)
+        if each.hull is not None:
+            yield from _draw_corners(each.hull, size)
         if each.box is not None:
             frame, at = each.box.centre.frame, each.box.centre.at
             yield Solid(Layer.CONTACTS, frame, Kind.BOX, each.box.size, "#009e73", at, each.box.axes)
@@ -215,6 +217,14 @@ def _draw_contacts(appearance: Appearance, size: float) -> Iterator[Solid]:
             yield Solid(Layer.CONTACTS, frame, Kind.ELLIPSOID, (diameter,) * 3, "#009e73", at)
         if each.capsule is not None:
             yield from _draw_capsule(each.capsule)
+
+
+def _draw_corners(hull: Corners, size: float) -> Iterator[Solid]:
+    diameter = max(2.0 * hull.radius, 0.018 * size)
+    C = np.array(hull.axes).reshape(3, 3)  # one a row
+    for point in hull.points:
+        place = _triple(np.array(hull.centre.at) + np.array(point) @ C)
+        yield Solid(Layer.CONTACTS, hull.centre.frame, Kind.ELLIPSOID, (diameter,) * 3, "#009e73", place)
 
 
 def _draw_capsule(rod: Rod) -> Iterator[Solid]:

@@ -173,7 +173,7 @@ def _demand_reference(manifest: Manifest) -> None:
 
     No two methods have all digits of these.
     """
-    if manifest.rigid or manifest.loaded or (manifest.switching and is_constrained(manifest)):
+    if manifest.touching or manifest.loaded or (manifest.switching and is_constrained(manifest)):
         demand_smooth(manifest, "a chart of methods", stops=True)
 
 

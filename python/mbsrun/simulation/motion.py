@@ -273,7 +273,8 @@ class Motion:
     halt: Halt | None = None
     events: tuple[Event, ...] = ()  # of joints with stops or dry friction
     modes: NDArray[np.int_] | None = None  # (K, n), as `Mode` lists them; None without such joints
-    contacts: tuple[Array, Array] | None = None  # of rigid contacts: forces (K, 3 points) and normal parts (K, points)
+    contacts: tuple[Array, Array, Array] | None = None  # of rigid contacts: forces (K, 3 points), their normal parts
+    # (K, points), and distances of pairs of solids (K, pairs)
     warnings: tuple[str, ...] = ()
     qdd: Array = field(default_factory=lambda: np.zeros((0, 0)), repr=False)  # (K, n), not a number where it fails
     kernels: Kernels | None = field(default=None, repr=False)  # of the mechanism, for further numbers
@@ -309,7 +310,7 @@ class Motion:
         parts = {"t": self.t[:, None], "q": self.q, "qd": self.qd, "qdd": self.qdd}
         parts |= {"u": self.inputs[:, :count], "w": self.inputs[:, count:]}
         if self.contacts is not None:
-            parts |= {"contact_force": self.contacts[0], "normal": self.contacts[1]}
+            parts |= zip(("contact_force", "normal", "solid_gap"), self.contacts, strict=True)
         if self.closure is not None:
             parts |= {"lam": self.closure.multipliers, "tau": self.closure.driving}
         return Numbers(self.kernels, list_quantities(manifest, Added()), parts)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mbsgen.errors import MbsError
-from mbsgen.manifest import RigidPoint
+from mbsgen.manifest import RigidPair, RigidPoint
 from mbsgen.roles import Order, name_kernel
 from mbsrun.closure import Closure
 from mbsrun.kernel import ArgumentError, KernelError, Kernels
@@ -44,6 +44,7 @@ from mbsrun.simulation.motion import (
     Strikes,
 )
 from mbsrun.simulation.outputs import Outputs
+from mbsrun.simulation.solids import measure_pairs
 
 Array = NDArray[np.float64]
 
@@ -54,9 +55,9 @@ STIFF = 500.0  # times that a fast motion decays within a simulation; slower one
 class InsideError(MbsError):
     """A start at which a rigid contact is within the other side, or a number beyond a rigid stop."""
 
-    def __init__(self, point: RigidPoint, depth: float) -> None:
+    def __init__(self, point: RigidPoint | RigidPair, depth: float) -> None:
         finding = f"contact {point.name} starts {depth:.4g} m inside the other side; start outside or in touch"
-        if point.is_stop:
+        if isinstance(point, RigidPoint) and point.is_stop:
             finding = f"stop {point.name} starts {depth:.4g} beyond its limit; start within its limits"
         super().__init__(finding)
 
@@ -173,6 +174,11 @@ def _check_outside(kernels: Kernels, q: Array) -> None:
         k = int(clearance.argmin())
         if clearance[k] < -BEYOND:
             raise InsideError(kernels.manifest.rigid[k], -float(clearance[k]))
+    if kernels.manifest.meetings:
+        distances = measure_pairs(kernels, q[None])[0].ravel()
+        k = int(distances.argmin())
+        if distances[k] < -BEYOND:
+            raise InsideError(kernels.manifest.meetings[k], -float(distances[k]))
 
 
 def _check_kernels(kernels: Kernels, settings: Settings) -> None:
@@ -190,11 +196,12 @@ def _check_kernels(kernels: Kernels, settings: Settings) -> None:
         needed |= set() if kernels.manifest.find("exp2") else {"exp1"}
     else:
         needed |= {"impl", "jac_impl"} if is_explicit else {jacobian}
-        switches = bool(kernels.manifest.switching or kernels.manifest.rigid)
+        switches = bool(kernels.manifest.switching or kernels.manifest.touching)
         needed |= {"semi", "semi_res"} if switches and is_explicit else set()
         needed |= {"reactions"} if kernels.manifest.loaded else set()
         if kernels.manifest.rigid:
             needed |= {"touching", "jac_touching"} if is_explicit else {"touching"}
+        needed |= {"meetings"} if kernels.manifest.meetings else set()
         needed |= {linearised} if METHODS[settings.method].needs_residual else set()
     needed |= {"rates", "jac_rates"} if kernels.manifest.configuration else set()
     if missing := kernels.list_missing(needed):
@@ -231,7 +238,7 @@ class _Record:
         self.last, self.last_time, self.done = (q, qd), 0.0, 0.0
         self.piece: Piece | None = None
         self.work_is_known = True
-        self.switches = bool(kernels.manifest.switching or kernels.manifest.rigid)
+        self.switches = bool(kernels.manifest.switching or kernels.manifest.touching)
         self.strikes = METHODS[settings.method].strikes
         self.rates: list[Array] = []  # of the states that are kept: accelerations,
         self.pushes: list[Array] = []  # and forces of rigid contacts
@@ -319,15 +326,22 @@ class _Record:
             return self.observer.find_accelerations(t, q, qd, inputs)
         return self.forces.find_all(t, q, qd, inputs, modes)[0]
 
-    def _find_contacts(self, q: Array) -> tuple[Array, Array] | None:
-        """Return the forces of rigid contacts, without stops, and normal parts of all."""
-        if not self.kernels.manifest.rigid:
+    def _find_contacts(self, q: Array) -> tuple[Array, Array, Array] | None:
+        """Return the forces of rigid contacts, without stops, normal parts of all, and the distances of solids."""
+        manifest = self.kernels.manifest
+        if not manifest.touching:
             return None
-        points = len(self.kernels.manifest.rigid)
-        forces = np.array(self.pushes).reshape(-1, 3 * points) if self.pushes else np.full((len(q), 3 * points), np.nan)
-        normals = self.kernels("touching", q=q)["direction"]
-        split, placed = forces.reshape(-1, points, 3), [not x.is_stop for x in self.kernels.manifest.rigid]
-        return split[:, placed].reshape(len(forces), -1), np.einsum("kip,kpi->kp", normals, split)
+        count = len(manifest.touching)
+        forces = np.array(self.pushes).reshape(-1, count, 3) if self.pushes else np.full((len(q), count, 3), np.nan)
+        normals, distances = np.zeros((len(q), 0, 3)), np.zeros((len(q), 0))
+        if manifest.rigid:
+            normals = self.kernels("touching", q=q)["direction"].transpose(0, 2, 1)
+        if manifest.meetings:
+            distances, more = measure_pairs(self.kernels, q)
+            normals = np.concatenate((normals, more), axis=1)
+        placed = [True] * count
+        placed[: len(manifest.rigid)] = [not x.is_stop for x in manifest.rigid]
+        return forces[:, placed].reshape(len(forces), -1), np.einsum("kpi,kpi->kp", normals, forces), distances
 
     def _add_pushes(self, chunk: Chunk, push: Push, chosen: NDArray[np.intp]) -> None:
         """Note accelerations and forces of rigid contacts between events."""

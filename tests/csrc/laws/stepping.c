@@ -35,6 +35,29 @@ int mbs_cone_solve(const mbs_cone *p, casadi_real tolerance, casadi_real *P, mbs
     return ++asked == gives_up;
 }
 
+/* --- solids that meet where a law wants ------------------------------------------------------------------------------ */
+
+static mbs_spot met[2];
+
+casadi_int mbs_solids_reals(const mbs_solid *first, const mbs_solid *other)
+{
+    return first->points + other->points;
+}
+
+casadi_int mbs_solids_meet(const mbs_solid *first, const casadi_real *place_first, const casadi_real *axes_first,
+                           const mbs_solid *other, const casadi_real *place_other, const casadi_real *axes_other,
+                           casadi_int most, mbs_spot *spots, casadi_real *reals)
+{
+    casadi_int k;
+    LAW("each solid has its own pose", place_first[0] == 1 && axes_first[0] == 2 && place_other[0] == 3 && axes_other[0] == 4);
+    LAW("a pair has room for its points", most == 2);
+    for (k = 0; k < mbs_solids_reals(first, other); ++k)
+        reals[k] = NAN;
+    for (k = 0; k < most; ++k)
+        spots[k] = met[k];
+    return most;
+}
+
 /* --- a plant: Phi = M qdd + C qd + K q - push - v,
     and points whose velocities are `speeds` qd ------------------------ */
 
@@ -211,6 +234,7 @@ static void rooms(void)
     use(s.q0, 4), use(s.qm, 4), use(s.v0, 3), use(s.vm, 3), use(s.v1, 3), use(s.vf, 3), use(s.x, 3), use(s.r, 3);
     use(s.old, 3), use(s.diagonal, 3), use(s.A, 9), use(s.K, 12), use(s.N, 12), use(s.slide, 18), use(s.J, 27);
     use(s.B, 27), use(s.W, 81), use(s.free, 9), use(s.bias, 9), use(s.P, 9), use(s.grip, 9), use(s.cone, 14);
+    use(s.moved, 9), use(s.normal, 6);
     for (k = 0; k < 2000; ++k)
         once &= uses[k] == (k < mbs_stepping_reals(&plant));
     LAW("arrays share no number, and leave none", once);
@@ -354,10 +378,10 @@ static void closings(void)
     anew(2, 0, 0, 0, 0.5);
     set(2, s.v0, 1, 2, 0), set(2, s.vf, 3, 2, 0); /* -3, -1 */
     LAW("a distance of the way is closed", closes(&s, row, 1, 0));
-    LAW("a larger one is open", !closes(&s, row, 1 + 1e-12, 0));
-    LAW("by half of the restitution less", closes(&s, row, 0.75, 0.5) && !closes(&s, row, 0.75 + 1e-12, 0.5));
+    LAW("a larger one is open", !closes(&s, row, 1 + 1e-10, 0));
+    LAW("by half of the restitution less", closes(&s, row, 0.75, 0.5) && !closes(&s, row, 0.75 + 1e-10, 0.5));
     s.vf[0] = 6; /* 2 */
-    LAW("the way is by the mean of both velocities", closes(&s, row, 0.25, 0) && !closes(&s, row, 0.25 + 1e-12, 0));
+    LAW("the way is by the mean of both velocities", closes(&s, row, 0.25, 0) && !closes(&s, row, 0.25 + 1e-10, 0));
 }
 
 /* Two points of two bodies, above each other: heights are judged at the middle that v0 leads to. */
@@ -389,7 +413,7 @@ static void contacts(void)
             LAW("the others are across it",
                 same(s.J[2 * (r + 1) + i], t[3 * r] * way[i] + t[3 * r + 1] * way[2 + i] + t[3 * r + 2] * way[4 + i]));
     }
-    s.rows = s.blocks = 0, height[0] += 1e-12;
+    s.rows = s.blocks = 0, height[0] += 1e-10;
     LAW("one that stays open is left out", add_points(&s, &record) == 0 && s.rows == 0 && s.blocks == 0);
     height[1] = -100;
     LAW("the second alone", add_points(&s, &record) == 0 && s.rows == 3 && s.owner[0] == 3 && s.grip[0] == 0.7);
@@ -603,11 +627,12 @@ static void iterations(void)
     s.q0[0] = s.v0[0] = s.v1[0] = 0;
     LAW("rest stays", iterate(&s, 1e-9, none, &record) == 0 && record.iterations == 1);
     LAW("iterations end", step_wrongly(2, 10) == MBS_DIVERGED && record.iterations == 40);
-    for (k = 0; k < 2; ++k) {
+    for (k = 0; k < 3; ++k) {
+        const casadi_real sizes[3] = {0.95e-10, 0.95e-9, 1.05e-9};
         anew(1, 0, 0, 0, 0.5); /* noise changes the velocity by 2 h noise each time, of 1 */
-        s.q0[0] = 0, s.v0[0] = s.v1[0] = 1, noise = k ? 1.05e-10 : 0.95e-10;
-        LAW("noise ends an iteration where it is small", (iterate(&s, 1e-9, none, &record) == 0) == !k);
-        LAW("at the third", record.iterations == (k ? 40 : 3));
+        s.q0[0] = 0, s.v0[0] = s.v1[0] = 1, noise = sizes[k];
+        LAW("noise ends an iteration where it is small", (iterate(&s, 1e-9, none, &record) == 0) == (k < 2));
+        LAW("at the third, or late within the tolerance", record.iterations == (k ? k == 1 ? 16 : 40 : 3));
     }
     for (k = 0; k < 4; ++k) {
         anew(1, 0, 0, 1, 0.5);
@@ -749,6 +774,7 @@ static void results(void)
     anew(2, 2, 1, 1, 1);
     direction[3] = 0.36, direction[4] = 0.48, direction[5] = 0.8;
     cross_normal(direction + 3, t);
+    write(6, 1, direction, s.normal);
     s.blocks = s.rows = 0;
     open_block(&s, MBS_TOUCH, 3, 1), s.rows = 3, open_block(&s, MBS_BRAKE, 7, 1);
     set(3, s.P, 2, -3, 5), s.P[3] = 7;
@@ -819,9 +845,50 @@ static void runs(void)
     LAW("and its losses", same(rows[4], -4 * (-3 + 1) / 2.0) && rows[5] == 0 && rows[12] == 4);
 }
 
+static int meet(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int memory)
+{
+    (void)arg, (void)res;
+    LAW("kernels have no memory", !iw && !w && !memory);
+    return fails == TOUCHING ? 17 : 0;
+}
+
+static void pairs(void)
+{
+    static const casadi_real poses[6] = {1, 0, 0, 3, 0, 0}, axes[18] = {2, 0, 0, 0, 0, 0, 0, 0, 0, 4};
+    static const casadi_real twist[18] = {1, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 5, 0, 7, 0, 11, 0, 0};
+    const mbs_solid solid = {.points = 1};
+    const mbs_meeting pair = {&solid, &solid, 2, 0.25, 0.5};
+    casadi_int k, once = 1;
+    casadi_real v[3];
+    anew(3, 1, 1, 0, 0.1);
+    plant.pairs = 1, plant.pair = &pair, plant.places = poses, plant.axes = axes, plant.meetings.f = meet;
+    lay_entries(&plant.twist, twist, 18);
+    memset(uses, 0, sizeof uses);
+    reopen(0.1);
+    use(s.twist, 18), use(s.moved, 9), use(s.normal, 9), use(s.room, 2), use((casadi_real *)s.spots, 14);
+    for (k = 0; k < 2000; ++k)
+        once &= uses[k] <= 1;
+    LAW("arrays of pairs share no number, and end the room", once && (casadi_real *)s.spots + 14 == reals + mbs_stepping_reals(&plant));
+    LAW("points of pairs have impulses", mbs_stepping_width(&plant) == 2 * 6 + 2 + 9);
+    set(3, met[0].normal, 0, 0, 1), set(3, met[0].at, 2, 3, 4), met[0].gap = 0.3;
+    set(3, met[1].normal, 0, 0, 1), set(3, met[1].at, 2, 3, 5), met[1].gap = 9;
+    memset(s.q0, 0, 3 * sizeof *s.q0);
+    set(3, s.v0, 0, 0, -4), set(3, s.vf, 0, 0, -4);
+    LAW("points of pairs that close are collected", add_points(&s, &record) == 0 && s.blocks == 1 && s.rows == 3);
+    LAW("after all others", s.owner[0] == 3 && s.grip[0] == 0.5 && s.kind[0] == MBS_TOUCH);
+    /* the velocity is V + OM x at, with OM = (5 c, 7 b, 11 a) of qd = (a, b, c) */
+    for (k = 0; k < 3; ++k)
+        v[k] = s.J[k];
+    LAW("along the normal they move by the twist", same(v[0], 0) && same(v[1], -7 * 2) && same(v[2], 1 + 5 * 3));
+    LAW("they rebound by the law of their pair", same(s.bias[0], 0.25 * -4 * (1 + 5 * 3)));
+    LAW("their normals are kept", s.normal[3] == 0 && s.normal[5] == 1);
+    fails = TOUCHING, plant.touching.f = 0;
+    LAW("a kernel that fails ends the step", add_points(&s, &record) == MBS_KERNEL && record.kernel == 17);
+}
+
 int main(void)
 {
     rooms(), middles(), matrices(), linearisations(), directions(), closings(), contacts(), collections(), counts();
-    strikes(), energies(), guesses(), iterations(), holds(), losses(), balances(), results(), runs();
+    pairs(), strikes(), energies(), guesses(), iterations(), holds(), losses(), balances(), results(), runs();
     return broken > 0;
 }

@@ -60,7 +60,7 @@ def _move(
     chain: Chain, poses: dict[int, Pose], bodies: tuple[int, int], place: Vector[Scalar]
 ) -> dict[int, Vector[Scalar]]:
     """Return the velocity of the first body relative to the other one at a place, by the joints that move either."""
-    first, other = (_list_carriers(chain, body) for body in bodies)
+    first, other = (list_carriers(chain, body) for body in bodies)
     columns = {}
     for number in first ^ other:  # joints that carry both move neither
         link, pose = chain.links[number - 1], poses[number]
@@ -81,14 +81,14 @@ def _differentiate(chain: Chain, poses: dict[int, Pose], barrier: Barrier) -> di
         assert wrench.moment is not None, "the wrenches of a stop are known"
         F, N, pose = chain.components(wrench.force), chain.components(wrench.moment), poses[wrench.body]
         place = pose.p + pose.R.apply(chain.vector(wrench.position))
-        for number in _list_carriers(chain, wrench.body):
+        for number in list_carriers(chain, wrench.body):
             link, own = chain.links[number - 1], poses[number]
             axis = own.R.column(link.joint.axis)
             terms[number - 1].append(axis.dot(N + (place - own.p).cross(F)) if link.is_revolute else axis.dot(F))
     return {c: sum(parts[1:], start=parts[0]) for c, parts in sorted(terms.items())}
 
 
-def _list_carriers(chain: Chain, body: int) -> set[int]:
+def list_carriers(chain: Chain, body: int) -> set[int]:
     """Return a body and all bodies between it and the base."""
     found = set()
     while body:

@@ -19,7 +19,7 @@ from sympy import Expr, Symbol
 from mbsgen.expressions import Algebra, Expression, Name, evaluate, names
 from mbsgen.model import model, tree
 from mbsgen.model.digits import find_tolerance, list_geometry
-from mbsgen.model.elements import Anchor, Circle, Loads, Side, Sight, Spot, Surface
+from mbsgen.model.elements import Anchor, Circle, Loads, Shape, Side, Sight, Spot, Surface
 from mbsgen.model.elimination import Linear, eliminate, find_sums
 from mbsgen.model.expansion import expand
 from mbsgen.model.following import Range, find_range, find_rules, list_joints
@@ -35,6 +35,7 @@ from mbsgen.model.quantities import (
     name_lengths,
     probe_symbols,
 )
+from mbsgen.model.solids import Corner, find_solids
 from mbsgen.model.symbols import exact, round_number, symbolic, to_double, total
 from mbsgen.model.topology import sort_bodies
 from mbsgen.model.tree import (
@@ -101,6 +102,7 @@ def build_tree(description: Model, *, readable: bool = False) -> Tree:
         probes=(*_probe_frames(description, seats, reader), *loads.probes),
         definitions=tuple(loads.definitions),
         distances=tuple(loads.distances),
+        meetings=tuple(loads.meetings),
         signals=find_read_signals(description),
         quaternions=tuple(_find_quaternions(description, moving)),
         couplings=couplings,
@@ -570,6 +572,11 @@ def _collect_loads(description: Model, seats: Mapping[str, _Seat], reader: _Read
             )
     for contact in description.contacts:
         at, other = seats[contact.body].carry(contact.placement, reader), contact.other
+        if contact.is_of_solids:
+            sides = at, seats[other.body].carry(other.placement, reader)
+            shapes = [_make_shape(*x) for x in zip(sides, find_solids(contact, reader.constant), strict=True)]
+            loads.add_meeting(contact.name, shapes, _read_rigid(contact, reader))
+            continue
         points = [(name, Anchor(at.number, at.point(point))) for name, point in _list_points(contact, reader)]
         seat = seats[other.body].carry(other.placement, reader)
         axes: tuple[Vector, ...] = _transpose(seat.axes)
@@ -582,8 +589,7 @@ def _collect_loads(description: Model, seats: Mapping[str, _Seat], reader: _Read
         if contact.restitution is None:
             loads.add_contact(contact, points, side, reader.constant(contact.exponent), circle)
             continue
-        grip = 0.0 if contact.friction is None else reader.constant(contact.friction.coefficient)
-        loads.add_rigid(contact, points, side, (reader.constant(contact.restitution), grip), circle)
+        loads.add_rigid(contact, points, side, _read_rigid(contact, reader), circle)
     sights = [_make_sight(x, frames, anchor) for key, x in known.items() if key in read]
     for stop in description.stops:
         lower, upper = (None if x is None else reader.number(x) for x in (stop.lower, stop.upper))
@@ -658,6 +664,17 @@ def _list_corners(contact: model.Contact, reader: _Reader) -> Iterator[Vector]:
         axis, half = normalise(reader.direction(contact.wheel.axis)), reader.number(contact.wheel.length) / 2
         yield from (_vector(side * half * a for a in axis) for side in (-1, 1))
     yield from map(reader.vector, contact.points)
+
+
+def _read_rigid(contact: model.Contact, reader: _Reader) -> tuple[float, float]:
+    """Read the restitution and the coefficient of friction of a rigid contact."""
+    assert contact.restitution is not None, "the contact is rigid"
+    grip = 0.0 if contact.friction is None else reader.constant(contact.friction.coefficient)
+    return reader.constant(contact.restitution), grip
+
+
+def _make_shape(seat: _Seat, solid: tuple[tuple[Corner, ...], float]) -> Shape:
+    return Shape(Anchor(seat.number, seat.position), _transpose(seat.axes), *solid)
 
 
 def normalise(direction: Vector) -> Vector:

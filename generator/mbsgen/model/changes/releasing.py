@@ -39,6 +39,7 @@ from mbsgen.model.model import (
     ForceElement,
     Frame,
     Grip,
+    Hull,
     Inertia,
     Joint,
     Law,
@@ -316,6 +317,8 @@ class _Release:
 
     def _contact(self, contact: Contact) -> Contact:
         path = f"contacts.{contact.name}"
+        if contact.is_of_solids:  # their shapes are constant
+            return replace(contact, placement=self._placement(path, contact.placement))
         grip = contact.friction
         if grip is not None and grip.speed is not None:
             grip = Grip(
@@ -383,6 +386,8 @@ class _Release:
         if isinstance(other, Capsule):
             radius, length = (self._number(f"{path}.{key}", getattr(other, key)) for key in ("radius", "length"))
             return replace(other, placement=self._placement(path, other.placement), radius=radius, length=length)
+        if isinstance(other, Hull):
+            return replace(other, placement=self._placement(path, other.placement))
         position = self._triple(f"{path}.position", other.position)
         if isinstance(other, Sphere):
             return replace(other, position=position, radius=self._number(f"{path}.radius", other.radius))

@@ -24,6 +24,7 @@ from mbsgen.model.model import (
     Capsule,
     Contact,
     ForceElement,
+    Hull,
     Model,
     PathPoint,
     Plane,
@@ -34,6 +35,7 @@ from mbsgen.model.model import (
 )
 from mbsgen.model.muscles import Muscle
 from mbsgen.model.quantities import find_moving, find_stopped, list_quantities, name_lengths
+from mbsgen.model.solids import find_solids, has_inside, list_expressions
 from mbsgen.model.topology import find_carriers
 from mbsgen.model.tyres import LATERAL, LONGITUDINAL, MAGIC, NEEDED, POSITIVE, Tyre
 from mbsgen.model.valuation import Valuation
@@ -413,6 +415,12 @@ def _check_other(place: Place, contact: Contact, valuation: Valuation) -> Iterat
     elif isinstance(other, Capsule):
         for key in ("radius", "length"):
             yield from _check_positive((*at, key), getattr(other, key), valuation)
+    elif isinstance(other, Hull):
+        yield from _check_not_negative((*at, "radius"), other.radius, valuation)
+        if not 2 <= len(other.points) <= MOST_POINTS:
+            finding = f"{len(other.points)} points, where 2 to {MOST_POINTS} are allowed"
+            yield Finding((*at, "points"), finding, "give the corners of a hull, or a sphere")
+            return
     else:
         yield from _check_positive((*at, "radius"), other.radius, valuation)
         if other.inside:
@@ -421,16 +429,30 @@ def _check_other(place: Place, contact: Contact, valuation: Valuation) -> Iterat
             if 0 < within <= own:
                 finding = f"found {within:g}, where the contact's own radius is {own:g}"
                 yield Finding((*at, "radius"), finding, "give more: that sphere stays within")
-    if isinstance(other, Plane):
+    if contact.is_of_solids:
+        yield from _check_solids(place, contact, valuation)
         return
-    remedy = f"give the contact a radius, one for each sphere that makes up the {'hull' if contact.points else 'box'}"
-    if contact.size is not None:
-        yield Finding(
-            (*place, "size"), f"a box and a {contact.key}: its corners miss a {contact.key} between them", remedy
+
+
+def _check_solids(place: Place, contact: Contact, valuation: Valuation) -> Iterator[Finding]:
+    """Find what is wrong with two solids with corners."""
+    own = "size" if contact.size is not None else "points" if contact.points else contact.key
+    if not contact.is_rigid:
+        finding = f"a compliant {'box' if own == 'size' else 'hull'} and a {contact.key}"
+        finding += f": its corners miss a {contact.key} between them"
+        remedy = (
+            "give restitution in place of stiffness; or give the contact a radius, one for each sphere of the solid"
         )
-    if contact.points:
-        finding = f"points and a {contact.key}: they miss a {contact.key} between them"
-        yield Finding((*place, "points"), finding, remedy)
+        yield Finding((*place, own), finding, remedy)
+    if any(math.isnan(valuation.constant((*place, contact.key), x)) for x in list_expressions(contact)):
+        return  # it has a finding
+    for key, (corners, radius) in zip(
+        (own, contact.key), find_solids(contact, lambda x: valuation.number(place, x)), strict=True
+    ):
+        if not has_inside(corners):
+            yield Finding((*place, key), "all points lie in a plane", "give the corners of a solid, or two points")
+        if len(corners) == 2 and radius == 0:
+            yield Finding((*place, key), "two points without a radius", "give a radius: they make a capsule")
 
 
 def _check_normal(place: Place, normal: Triple, valuation: Valuation) -> Iterator[Finding]:

@@ -26,6 +26,7 @@ from mbsgen.model.model import (
     Contact,
     ForceElement,
     Grip,
+    Hull,
     Other,
     PathPoint,
     Plane,
@@ -339,6 +340,14 @@ class OtherCapsuleSection(PlacementSection):
     length: NumberField = Field(examples=[0.4], description="between the centres of its ends, m")
 
 
+class OtherHullSection(PlacementSection):
+    """The convex hull of points on a body, or on the base; its edges are rounded by a radius."""
+
+    body: str = Field(BASE, examples=[BASE], description="a body, or base")
+    points: tuple[TripleField, ...] = Field(examples=[[[0.1, 0.0, 0.0], [0.0, 0.1, 0.0]]], description="m")
+    radius: NumberField = Field(ZERO, examples=[0.01], description="m")
+
+
 class StopSection(Section):
     """Stops at limits of a number of the pose: rigid, or compliant."""
 
@@ -464,7 +473,7 @@ class SphereLawSection(Section):
 
 
 class ContactSection(PlacementSection):
-    """A contact of a sphere with a plane, sphere, box or capsule, or of a box, a wheel or a hull with a plane."""
+    """A contact of a sphere, a box or a hull with a plane, sphere, box, capsule or hull, or of a wheel with a plane."""
 
     name: str = Field(examples=["heel"])
     body: str = Field(examples=["foot"])
@@ -478,6 +487,7 @@ class ContactSection(PlacementSection):
     sphere: OtherSphereSection | None = Field(None, examples=[None], description="in place of a plane")
     box: OtherBoxSection | None = Field(None, examples=[None], description="in place of a plane")
     capsule: OtherCapsuleSection | None = Field(None, examples=[None], description="in place of a plane")
+    hull: OtherHullSection | None = Field(None, examples=[None], description="in place of a plane")
     stiffness: NumberField | None = Field(None, examples=[1e5], description="of a compliant contact, N/m**exponent")
     restitution: NumberField | None = Field(
         None, examples=[None], description="of a rigid contact, in place of a stiffness: 0 to 1"
@@ -500,6 +510,8 @@ class ContactSection(PlacementSection):
             return Block(self.box.size, self.box.body, self.box.placement)
         if self.capsule is not None:
             return Capsule(self.capsule.radius, self.capsule.length, self.capsule.body, self.capsule.placement)
+        if self.hull is not None:
+            return Hull(self.hull.points, self.hull.radius, self.hull.body, self.hull.placement)
         if self.sphere is not None:
             return Sphere(self.sphere.radius, self.sphere.body, self.sphere.position, self.sphere.inside)
         return GROUND if self.plane is None else Plane(self.plane.body, self.plane.position, self.plane.normal)

@@ -91,6 +91,9 @@ def find_faults(modes: Modes, manifest: Manifest, axes: Axes) -> Iterator[Findin
         finding = f"rigid {'stop' if point.is_stop else 'contact'} {point.name} has no modes here"
         remedy = "modes are for points on planes of the base with normal x, y or z; leave it out of the model"
         yield Finding((), finding, remedy)
+    for pair in manifest.meetings:
+        finding = f"rigid contact {pair.name} of two solids has no modes"
+        yield Finding((), finding, "modes are for points on planes; leave it out of the model")
 
 
 def _find_wrong_way(law: OpenJoint | OpenContact, mode: str, axes: Axes) -> tuple[str, str] | None:

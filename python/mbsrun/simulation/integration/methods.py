@@ -147,6 +147,9 @@ def find_refusals(settings: Settings, manifest: Manifest) -> Iterator[tuple[str,
             "leave it out: stops of joints with one restitution have the same impacts by both laws",
         )
     yield from _check_latches(settings, manifest)
+    if manifest.meetings and not method.strikes:
+        finding = f"{settings.method} takes no contacts of two solids, which the model has: {manifest.meetings[0].name}"
+        yield "method", finding, "give moreau"
     if manifest.rigid and method.stability is not None:
         yield from _refuse_contacts(settings, manifest)
     elif latches := [point.name for point in manifest.rigid if point.hold > 0]:

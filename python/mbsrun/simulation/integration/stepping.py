@@ -7,6 +7,7 @@ for the impulses of a step, to a tolerance that is met, or the motion ends with 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -22,13 +23,16 @@ from mbsrun.simulation.integration.joints import Joints
 from mbsrun.simulation.integration.steps import count_steps, describe_singularity, place_steps
 from mbsrun.simulation.memory import Memory, load_functions
 from mbsrun.simulation.motion import Chunk, Halt, HaltError, Settings, Stages, Strikes
+from mbsrun.simulation.solids import CDEF, Pairs
 
 Array = NDArray[np.float64]
 
 STEPS = 4096  # taken in C at a time
 TOLERANCE = 1e-8  # of the cone problem: see csrc/mbs_cone.h
 
-_CDEF = """
+_CDEF = (
+    CDEF
+    + """
 typedef int (*mbs_kernel)(const double **arg, double **res, long long *iw, double *w, int mem);
 typedef struct { mbs_kernel f; const double **arg; double **res; } mbs_call;
 typedef struct { const double *nonzeros; long long entries; const long long *place; } mbs_entries;
@@ -38,16 +42,23 @@ typedef struct {
     const mbs_attitude *attitude;
     const long long *place, *rate;
 } mbs_group;
+typedef struct {
+    const mbs_solid *first, *other;
+    long long spots;
+    double restitution, coefficient;
+} mbs_meeting;
 typedef struct { long long place, rate; double side, level, restitution; } mbs_stop;
 typedef struct { long long rate; double torque, fall, slowness, still; } mbs_brake;
 typedef struct {
-    long long n, m, points, stops, brakes;
+    long long n, m, points, pairs, stops, brakes;
     double *q, *qd, *qdd, *v;
     const double *Phi, *clearance, *direction, *kinetic, *potential, *power;
-    mbs_entries K, C, M, N, J;
-    mbs_call linearised, residual, touching, change, energy, work;
+    const double *places, *axes;
+    mbs_entries K, C, M, N, J, twist;
+    mbs_call linearised, residual, touching, meetings, change, energy, work;
     mbs_group group;
     const double *restitution, *coefficient;
+    const mbs_meeting *pair;
     const mbs_stop *stop;
     const mbs_brake *brake;
 } mbs_stepping;
@@ -63,6 +74,7 @@ long long mbs_stepping_run(const mbs_stepping *plant, double tolerance, double h
                            long long v_step, const double *start, double *results, double *impulses,
                            mbs_stepping_record *record, int *status, double *reals, long long *integers);
 """
+)
 
 _KERNEL, _SINGULAR, _CONE, _DIVERGED = 1, 2, 3, 4
 _FAILURES = {
@@ -84,16 +96,17 @@ class Stepper:
 
     def __init__(self, dynamics: Dynamics) -> None:
         self.dynamics = dynamics
-        sources = "mbs_stepping.c", "mbs_cone.c", "mbs_dense.c"
+        sources = "mbs_stepping.c", "mbs_cone.c", "mbs_dense.c", "mbs_solids.c"
         self.ffi, self.lib = load_functions(_CDEF, *sources)
         self.plant = self.ffi.new("mbs_stepping *")
         self._lay()
         self._lay_group()
+        self.slots = self._lay_pairs()
         self._lay_joints(Joints.of(dynamics.kernels.manifest))
         self.reals = np.empty(self.lib.mbs_stepping_reals(self.plant) + 1)
         self.integers = np.empty(self.lib.mbs_stepping_integers(self.plant) + 1, dtype=np.int64)
         p = self.plant
-        self.impulses = np.zeros(3 * p.points + p.stops + p.brakes + 1)
+        self.impulses = np.zeros(3 * (p.points + sum(self.slots)) + p.stops + p.brakes + 1)
         self.record = self.ffi.new("mbs_stepping_record *", {"allowed": np.nan})
 
     def _lay(self) -> None:
@@ -117,6 +130,9 @@ class Stepper:
         if manifest.rigid:
             found = self._call(p.touching, "touching", {"clearance": None, "direction": None, "slide": p.J})
             p.clearance, p.direction = found["clearance"], found["direction"]
+        if manifest.meetings:
+            found = self._call(p.meetings, "meetings", {"place": None, "axes": None, "twist": p.twist})
+            p.places, p.axes = found["place"], found["axes"]
         p.restitution = self._keep("restitution", [x.restitution for x in manifest.rigid])
         p.coefficient = self._keep("coefficient", [x.coefficient for x in manifest.rigid])
 
@@ -148,6 +164,18 @@ class Stepper:
         own.attitude = memory.keep(self.ffi.new("mbs_attitude[]", [*rows, (0, 0, 0)]))
         places, rates = group.scalars
         own.scalars, own.place, own.rate = len(places), memory.integers(places), memory.integers(rates)
+
+    def _lay_pairs(self) -> list[int]:
+        """Lay the pairs of solids; return the number of points that each may have."""
+        meetings = self.dynamics.kernels.manifest.meetings
+        pairs = Pairs(meetings, self.ffi, self.lib)
+        self.memory.keep(pairs)
+        rows = [
+            (pairs.solids + 2 * k, pairs.solids + 2 * k + 1, slots, pair.restitution, pair.coefficient)
+            for k, (pair, slots) in enumerate(zip(meetings, pairs.slots, strict=True))
+        ]
+        self.plant.pairs, self.plant.pair = len(rows), self.memory.keep(self.ffi.new("mbs_meeting[]", rows))
+        return pairs.slots
 
     def _lay_joints(self, joints: Joints) -> None:
         p, memory = self.plant, self.memory
@@ -205,8 +233,16 @@ class Stepper:
         ends, middles, losses, pushes = np.split(results, [nq + n, 2 * (nq + n), 2 * (nq + n) + 2], axis=1)
         q, qd = np.split(np.vstack((start, ends)), [nq], axis=1)
         at = (times[:-1] + times[1:])[:, None] / 2
+        pushes = self._sum_up(pushes)
         stages = Stages(at, middles[:, None, :nq], middles[:, None, nq:], np.ones(1))
         return Chunk(times, q, qd, stages=stages, strikes=Strikes(losses, np.diff(qd, axis=0) / h, pushes / h))
+
+    def _sum_up(self, pushes: Array) -> Array:
+        """Return the vectors of points, and the sums of the vectors of pairs."""
+        ends = self.plant.points + np.cumsum([0, *self.slots])
+        vectors = pushes.reshape(len(pushes), -1, 3)
+        sums = [vectors[:, a:b].sum(axis=1) for a, b in pairwise(ends)]
+        return np.hstack((pushes[:, : 3 * self.plant.points], *sums))
 
     def describe(self, status: int, time: float) -> Halt:
         """Describe why a run ended."""
