@@ -444,6 +444,7 @@ def _check_solids(place: Place, contact: Contact, valuation: Valuation) -> Itera
             "give restitution in place of stiffness; or give the contact a radius, one for each sphere of the solid"
         )
         yield Finding((*place, own), finding, remedy)
+        return
     if any(math.isnan(valuation.constant((*place, contact.key), x)) for x in list_expressions(contact)):
         return  # it has a finding
     for key, (corners, radius) in zip(
