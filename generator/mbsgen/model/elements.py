@@ -236,7 +236,7 @@ class Side:
 
 
 @dataclass(frozen=True)
-class Shape:
+class PlacedHull:
     """A solid in a frame on a body: the hull of points, rounded by a radius."""
 
     anchor: Anchor  # the origin of the frame
@@ -547,7 +547,7 @@ class Loads:
             bodies = centre.body, side.anchor.body
             self.distances.append(Distance(name, met.gap, Rigid(bodies, met.n, add(c, met.arm), *law)))
 
-    def add_meeting(self, name: str, shapes: Sequence[Shape], law: tuple[float, float]) -> None:
+    def add_meeting(self, name: str, shapes: Sequence[PlacedHull], law: tuple[float, float]) -> None:
         """Add two solids in rigid contact; `law` as of `add_rigid`."""
         solids = []
         for key, shape in zip(("first", "other"), shapes, strict=True):

@@ -19,7 +19,7 @@ from sympy import Expr, Symbol
 from mbsgen.expressions import Algebra, Expression, Name, evaluate, names
 from mbsgen.model import model, tree
 from mbsgen.model.digits import find_tolerance, list_geometry
-from mbsgen.model.elements import Anchor, Circle, Loads, Shape, Side, Sight, Spot, Surface
+from mbsgen.model.elements import Anchor, Circle, Loads, PlacedHull, Side, Sight, Spot, Surface
 from mbsgen.model.elimination import Linear, eliminate, find_sums
 from mbsgen.model.expansion import expand
 from mbsgen.model.following import Range, find_range, find_rules, list_joints
@@ -574,7 +574,7 @@ def _collect_loads(description: Model, seats: Mapping[str, _Seat], reader: _Read
         at, other = seats[contact.body].carry(contact.placement, reader), contact.other
         if contact.is_of_solids:
             sides = at, seats[other.body].carry(other.placement, reader)
-            shapes = [_make_shape(*x) for x in zip(sides, find_solids(contact, reader.constant), strict=True)]
+            shapes = [_place_hull(*x) for x in zip(sides, find_solids(contact, reader.constant), strict=True)]
             loads.add_meeting(contact.name, shapes, _read_rigid(contact, reader))
             continue
         points = [(name, Anchor(at.number, at.point(point))) for name, point in _list_points(contact, reader)]
@@ -673,8 +673,8 @@ def _read_rigid(contact: model.Contact, reader: _Reader) -> tuple[float, float]:
     return reader.constant(contact.restitution), grip
 
 
-def _make_shape(seat: _Seat, solid: tuple[tuple[Corner, ...], float]) -> Shape:
-    return Shape(Anchor(seat.number, seat.position), _transpose(seat.axes), *solid)
+def _place_hull(seat: _Seat, solid: tuple[tuple[Corner, ...], float]) -> PlacedHull:
+    return PlacedHull(Anchor(seat.number, seat.position), _transpose(seat.axes), *solid)
 
 
 def normalise(direction: Vector) -> Vector:
