@@ -4,7 +4,7 @@
 #include <math.h>
 
 #define PARALLEL 1e-7 /* the sine between edges that count as parallel */
-#define FACES 1e-9    /* of the size: an axis of edges must part solids by so much more than one of a face */
+#define FACES 1e-9    /* of the size: an axis of edges must part solids by more than one of a face, by this */
 #define SAME 1e-9     /* of the size: points that are nearer are one */
 #define LIES 1e-12    /* of the size: a point that is so near to a line lies on it */
 
@@ -17,7 +17,7 @@ typedef struct {
     mbs_body a, b;
     casadi_real size, radius, shift[3]; /* of both solids; the sum of the radii; the origin */
     casadi_real *ring, *next;           /* corners of a polygon, 3 each */
-    casadi_int room;                    /* for so many corners */
+    casadi_int room;                    /* the largest number of corners of a polygon */
     casadi_int count, most;
     mbs_spot *spots;
 } mbs_pair;
@@ -283,7 +283,7 @@ static casadi_real reach(const mbs_body *s, casadi_int face, const casadi_real *
     return dot3(own, d) / dot3(own, n);
 }
 
-/* Add the corners of what two faces have in common, seen along n. */
+/* Add the corners of the polygon that two faces share, seen along n. */
 static void add_faces(mbs_pair *p, const mbs_axis *axis)
 {
     const casadi_int own = find_face(&p->a, axis->n, -1), other = find_face(&p->b, axis->n, 1);

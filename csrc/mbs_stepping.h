@@ -96,7 +96,7 @@ casadi_int mbs_stepping_reals(const mbs_stepping *plant);
 casadi_int mbs_stepping_integers(const mbs_stepping *plant);
 
 /* Entries of a row of results: coordinates and velocities at the end of a step, both in its middle, the energy that impacts
- * and friction took, then three components of the impulse of each point, those of pairs last, in the base frame. */
+ * and friction took, then three components of the impulse of each point, points of pairs last, in the base frame. */
 casadi_int mbs_stepping_width(const mbs_stepping *plant);
 
 /* Take at most `steps` steps of length h from a state of nq + n numbers. `inputs` has a row of m for each step, v_step
