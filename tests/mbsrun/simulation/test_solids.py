@@ -186,7 +186,7 @@ def test_two_edges_cross_in_an_impact(make: Make) -> None:
 
 
 def test_a_bar_lies_across_a_bar(make: Make) -> None:
-    """Two bars cross: the four corners of the square that their faces share carry it, though no corner of either touches."""
+    """The four corners of the square that their faces share carry the upper one; no corner of either touches."""
     bars = "  - {name: pair, body: a, size: [1, 0.1, 0.1], box: {size: [0.1, 1, 0.1]}, " + LAW.format(0, 0.5)
     motion = step(make(bars, "a"), [0.04, 0.3, 0.1, *UPRIGHT], np.zeros(6), 1.0, 1e-2)  # type: ignore[call-arg]
     assert np.abs(motion.q - motion.q[0]).max() < 1e-14
