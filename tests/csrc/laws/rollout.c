@@ -177,6 +177,10 @@ static void parts(void)
         else
             LAW("others do not move", kept[i][1][0] == 0 && kept[i][SAMPLES - 1][Q] == 0 && status[i] == 99);
     fill(&m, course, 1, EULER_A, EULER_B, 0);
+    move_all(&m, MBS_ABREAST, MBS_ABREAST);
+    for (i = 0; i < STATES; ++i)
+        LAW("of no states none moves", kept[i][1][0] == 0 && status[i] == 99);
+    fill(&m, course, 1, EULER_A, EULER_B, 0);
     fails_at = all[5][1][0]; /* of the sixth state, after two steps */
     move_all(&m, 0, STATES);
     for (i = 0; i < STATES; ++i) {
