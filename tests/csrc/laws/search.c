@@ -457,6 +457,19 @@ static void inner(void)
     problem.stages = 0;
 }
 
+/* A step passes unseen from a point of violation 1 and barrier function 0, in the watch of another point: whether it ends. */
+static int ends_watch(real theta, real barrier)
+{
+    mbs_stages_phase *p = &phase;
+    search t;
+    anew(&solver, p);
+    t.descent = -1, given.wall = 0.5, given.beyond = 1;
+    p->watchdog.active = p->watchdog.shortened = 1, p->watchdog.alpha = 1;
+    p->theta = 3 - theta, p->phi = -barrier, p->watchdog.theta = theta, p->watchdog.phi = barrier;
+    LAW("an unseen step is taken", step_unseen(&solver, p, &t) == 0 && p->x[0] == 1);
+    return !p->watchdog.active;
+}
+
 static void watching(void)
 {
     mbs_stages_phase *p = &phase;
@@ -507,6 +520,8 @@ static void watching(void)
     p->soft = 1, p->theta = 0, p->phi = -1, given.slope = -1, given.wall = -1, given.beyond = 1e-9;
     p->x[0] = 1, p->step.x[0] = -0.5, p->c[0] = 0;
     LAW("after a soft step comes a soft one", !mbs_stages_search(&solver, p) && p->soft == 2 && p->x[0] == 0.5);
+    LAW("a point is better than the one that is kept, not the last one", ends_watch(1, 10) && !ends_watch(1, -10));
+    LAW("in either measure", ends_watch(2, -10) && !ends_watch(1, -10) && !ends_watch(0.5, -10));
 }
 
 static void softly(void)
