@@ -179,8 +179,10 @@ static void choose_pivots(void)
 
 /* A tree of five: 1 on 0, 2 and 3 on 1, 4 on 3; the entries of L of each row, and of each column from the last row on. */
 static const int starts[] = {0, 0, 1, 3, 5, 8}, ancestors[] = {0, 0, 1, 0, 1, 0, 1, 3};
+#ifndef MBS_STATES
 static const int below_starts[] = {0, 4, 7, 7, 8, 8};
 static const int below[] = {4, 5, 3, 3, 2, 1, 1, 0, 4, 6, 3, 4, 2, 2, 4, 7};
+#endif
 
 static void make_tree(mbs_real *L, mbs_real *D, mbs_real *A)
 {
@@ -209,7 +211,10 @@ static int alike(double a, double b)
 static void solve_trees(void)
 {
     mbs_real L[8], D[5], A[25], F[25], scales[5], lower[8], inverses[5];
-    static mbs_real B[5 * 48], X[5 * 48], Y[5 * 48];
+    static mbs_real B[5 * 48], X[5 * 48];
+#ifndef MBS_STATES
+    static mbs_real Y[5 * 48];
+#endif
     int k, s, width;
     make_tree(L, D, A);
     memcpy(F, A, sizeof F);
@@ -224,13 +229,16 @@ static void solve_trees(void)
         for (k = 0; k < 5 * width; ++k)
             for (s = 0; s < STATES; ++s)
                 *at(B, k, s) = draw();
-        memcpy(X, B, sizeof X), memcpy(Y, B, sizeof Y);
+        memcpy(X, B, sizeof X);
         mbs_solve_tree(5, starts, ancestors, lower, inverses, width, X);
         LAW("which solve", solves(5, A, X, B, width, 0));
+#ifndef MBS_STATES
         if (width % MBS_LANES)
             continue;
+        memcpy(Y, B, sizeof Y);
         mbs_solve_columns(5, starts, ancestors, below_starts, below, lower, inverses, width, Y);
         LAW("many columns too", solves(5, A, Y, B, width, 0));
+#endif
     }
     for (k = 4; k >= 0; --k) {
         make_tree(L, D, A);
@@ -247,6 +255,50 @@ static void solve_trees(void)
     LAW("a pivot exceeds a part of its entry", mbs_factorise_tree(5, starts, ancestors, every(0.2), F, scales, lower, inverses) == 1);
     LAW("and is taken then", mbs_factorise_tree(5, starts, ancestors, every(0.19), A, scales, lower, inverses) == 0);
 }
+
+#ifdef MBS_STATES
+/* Where the first substitution reaches all rows, or 3, 1 and 0; then the second one. */
+static const int steps[] = {
+    2, 0, 4, 3, 4, 3, 7, 1, 0, 2, 2, 2, 3, 1, 0, 1, 0, 4, 6, 5, 3, 4, 3, 2, 2, 1, 0, 0, 0,
+    3, 0, 3, 1, 0, 3, 1, 0, 4, 3, 0, 0, 2, 2, 4,
+    3, 0, 0, 1, 2, 0, 1, 2, 0, 1, 2, 2, 2, 3, 4, 3, 4, 0, 3, 5, 1, 4, 6, 7, 0,
+};
+static const int groups[] = {
+    0, 44, 1, 0, 1, 5, 1, 10, 1, 15, 1, 20, 1, 25,
+    29, 44, 2, 10, 2, 0, 2, 5, 0, 0, 0, 0, 0, 0,
+};
+
+static void solve_groups(void)
+{
+    enum { COLUMNS = 9, FULL = 6 };
+    static const int reached[] = {3, 1, 0}, order[] = {6, 7, 8}; /* the columns of the first numbers of the second result */
+    mbs_real L[8], D[5], A[25], inverses[5], right[5 * FULL + 3 * FULL], B[5 * COLUMNS], X[5 * COLUMNS], first[30], second[15];
+    mbs_real *const results[] = {first, second};
+    int c, k, s;
+    make_tree(L, D, A);
+    for (k = 0; k < 5; ++k)
+        inverses[k] = every(1) / D[k];
+    for (k = 0; k < 5 * COLUMNS; ++k)
+        B[k] = every(0);
+    for (k = 0; k < 8 * FULL; ++k)
+        for (s = 0; s < STATES; ++s)
+            *at(right, k, s) = draw();
+    for (c = 0; c < FULL; ++c)
+        for (k = 0; k < 5; ++k)
+            B[(4 - k) * COLUMNS + c] = right[k * FULL + c];
+    for (c = 0; c < 3; ++c)
+        for (k = 0; k < 3; ++k)
+            B[reached[k] * COLUMNS + FULL + c] = right[(5 + k) * FULL + c];
+    mbs_solve_groups(5, 2, steps, groups, L, inverses, right, results);
+    for (k = 0; k < 5; ++k) {
+        for (c = 0; c < FULL; ++c)
+            X[k * COLUMNS + c] = -first[c * 5 + k];
+        for (c = 0; c < 3; ++c)
+            X[k * COLUMNS + order[c]] = -second[(c + 2) % 3 * 5 + k];
+    }
+    LAW("columns in groups are solved for", solves(5, A, X, B, COLUMNS, 0));
+}
+#endif
 
 static void give_columns(void)
 {
@@ -329,6 +381,9 @@ int main(void)
     solve_symmetric();
     choose_pivots();
     solve_trees();
+#ifdef MBS_STATES
+    solve_groups();
+#endif
     give_columns();
     pass_on();
     take_steps();

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import platform
 import subprocess
 from collections.abc import Callable
 from dataclasses import replace
@@ -21,6 +22,7 @@ from mbsgen.request import CodeSize, merge
 from tests.random_trees import random_tree
 
 MODELS = Path(__file__).parents[3] / "models"
+FLAGS = ("", "-mno-avx512f", "-mno-avx") if platform.machine() == "x86_64" else ("",)  # by the width of vectors
 OPTIONS = Options(functions=("exp1",), derivatives=1, size=CodeSize(straight=0))  # every Jacobian has a loop
 
 
@@ -63,6 +65,25 @@ def test_the_c_of_a_loop_gives_the_jacobian(name: str, scalars: bool, tmp_path: 
     for result, expected in straight.items():
         scale = max(1.0, float(np.abs(expected).max(initial=0.0)))
         np.testing.assert_allclose(looped[result], expected, rtol=0, atol=1e-12 * scale)
+
+
+@pytest.mark.parametrize("flags", FLAGS)
+@pytest.mark.parametrize("name", ["branched", "quadruped"])
+def test_lanes_give_the_bits_of_single_states(
+    name: str, flags: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Signs of zeros, too, at rest as in motion. Derivatives by forces are LAPACK's inverse of M."""
+    monkeypatch.setenv("CFLAGS", f"-O1 {flags}")
+    product = generate(MODELS / f"{name}.yaml", tmp_path, replace(OPTIONS, functions=("impl", "exp2")))
+    kernels, rng = mbsrun.load(tmp_path), np.random.default_rng(3)
+    drawn = {i.name: rng.uniform(0.3, 1.2, (19, i.nnz)) for i in product.manifest.kernel("lin_exp2").inputs}
+    state: dict[str, Any] = {x: values for x, values in drawn.items() if x != "h"}
+    state["qd"][3:14] = 0
+    alone, several = (kernels.batch("lin_exp2", lanes=lanes, **state)[0] for lanes in (False, True))
+    assert {x: values.tobytes() for x, values in alone.items()} == {x: v.tobytes() for x, v in several.items()}
+    of_impl = kernels.batch("jac_impl", qdd=alone["qdd"], **state)[0]
+    expected = -np.linalg.solve(of_impl["jac_Phi_qdd"], of_impl["jac_Phi_u"])
+    np.testing.assert_allclose(several["jac_qdd_u"], expected, rtol=0, atol=1e-11 * np.abs(expected).max())
 
 
 @pytest.mark.parametrize("real", ["double", "float"])

@@ -27,6 +27,7 @@ from mbsgen.tape.ordering import arrange
 from mbsgen.tape.ports import Port
 from mbsgen.tape.types import Sparsity, Tape
 from mbsgen.targets.c import double_double as c_double_double
+from mbsgen.targets.c.groups import Groups, group_columns
 from mbsgen.targets.layout import lay_out
 from mbsgen.targets.parts import LENGTH, Line, Part, divide
 from mbsgen.targets.statements import Body, C, Check, Turns, wrap, write_body, write_literal
@@ -36,6 +37,8 @@ DYNAMICS, SPATIAL, MATRIX = "mbs_dynamics.h", "mbs_spatial.h", "mbs_matrix.h"
 _HEADERS: Mapping[type[Pattern], str] = {Tree: "mbs_tree.h", Symmetric: "mbs_symmetric.h", General: "mbs_general.h"}
 _FACTORS = "Where the factors of M have their entries, and the results their nonzeros in M^-1 B."
 _PLACES = "Where nonzeros stand in full arrays, and what is gathered."
+
+ONE, SEVERAL = "#ifndef MBS_STATES", "#ifdef MBS_STATES"  # around tables that kernels for one state, or several, need
 
 LONGEST = 108  # characters of a line of C
 
@@ -102,6 +105,8 @@ class Writer:
         self._trees: dict[Tree, str] = {}
         self._outputs = {wire.name for wire in procedure.outputs}
         self._laid_out = {wire.name for wire in _find_laid_out(procedure)}
+        self._forms: dict[str, set[str]] = {}  # of tables
+        self._groups = {s.right.name: group_columns(s) for s in procedure.stages if isinstance(s, Solve) and is_wide(s)}
         self._held = _find_held(procedure)
 
     def name(self, wire: Wire) -> str:
@@ -114,6 +119,9 @@ class Writer:
 
     def write_targets(self, name: str, pattern: Sparsity) -> list[str]:
         """Write the nonzeros of a wire where the array has them."""
+        if name in self._laid_out and name in self._groups:
+            place = self._groups[name].place
+            return [f"{name}[MBS_EITHER({r + c * pattern.rows}, {place(c, r)})]" for r, c in pattern.entries]
         if name in self._laid_out:
             return [f"{name}[{r + c * pattern.rows}]" for r, c in pattern.entries]
         return [f"{name}[{k}]" for k in range(pattern.nnz)]
@@ -127,29 +135,37 @@ class Writer:
         self.locals += [f"int {self.name(w)}[{_size(w)} * MBS_ABREAST];" for w in own if w.is_whole]
         for w in own:
             if self.is_laid_out(w):
-                aligned = "MBS_ALIGNED " if self._is_wide(w) else ""
-                self.locals.append(f"{aligned}mbs_real {w.name}[{w.numel}] = {{0}};")
+                groups = self.find_groups(w)
+                count = f"MBS_EITHER({w.numel}, {groups.numbers})" if groups else str(w.numel)
+                self.locals.append(f"{'MBS_ALIGNED ' if groups else ''}mbs_real {w.name}[{count}] = {{0}};")
 
-    def _is_wide(self, wire: Wire) -> bool:
-        return any(isinstance(s, Solve) and s.right == wire and is_wide(s) for s in self.procedure.stages)
+    def find_groups(self, wire: Wire) -> Groups | None:
+        """Find the groups of the columns of right-hand sides, where several are solved for at once."""
+        return self._groups.get(wire.name)
 
-    def tabulate(self, name: str, numbers: Iterable[object]) -> str:
-        """Write a table of whole numbers, and return its name: stages whose wires have one name may need several."""
+    def tabulate(self, name: str, numbers: Iterable[object], form: str = "") -> str:
+        """Write a table of whole numbers, and return its name: stages whose wires have one name may need several.
+
+        Kernels of a `form` alone, ONE or SEVERAL, have it where others do not need it.
+        """
         table = wrap(map(str, numbers)) or ("0",)  # C has no empty arrays
         names = chain([name], (f"{name}_{k}" for k in count_from(2)))
-        return next(x for x in names if self.tables.setdefault(x, table) == table)
+        found = next(x for x in names if self.tables.setdefault(x, table) == table)
+        self._forms.setdefault(found, set()).add(form)
+        return found
 
-    def tree(self, pattern: Tree) -> tuple[str, str]:
+    def tree(self, pattern: Tree, form: str = "") -> tuple[str, str]:
         """Write the tables of a tree, once."""
         suffix = self._trees.setdefault(pattern, str(len(self._trees) + 1) if self._trees else "")
-        starts = self.tabulate(f"mbs_starts{suffix}", pattern.starts)
-        return starts, self.tabulate(f"mbs_ancestors{suffix}", (i for row in pattern.ancestors for i in row))
+        starts = self.tabulate(f"mbs_starts{suffix}", pattern.starts, form)
+        return starts, self.tabulate(f"mbs_ancestors{suffix}", (i for row in pattern.ancestors for i in row), form)
 
-    def below(self, pattern: Tree) -> tuple[str, str]:
+    def below(self, pattern: Tree, form: str = "") -> tuple[str, str]:
         """Write the tables of the columns of a tree's factor."""
         suffix = self._trees[pattern]
-        starts = self.tabulate(f"mbs_below_starts{suffix}", pattern.below_starts)
-        return starts, self.tabulate(f"mbs_below{suffix}", (i for row in pattern.below for pair in row for i in pair))
+        places = (i for row in pattern.below for pair in row for i in pair)
+        starts = self.tabulate(f"mbs_below_starts{suffix}", pattern.below_starts, form)
+        return starts, self.tabulate(f"mbs_below{suffix}", places, form)
 
     def call(self, function: str, arguments: Iterable[str]) -> None:
         """Call a function that may fail."""
@@ -178,8 +194,8 @@ class Writer:
                 self.lines.append(f"mbs_copy({wire.sparsity.nnz}, {self.name(wire)}, {wire.name});")
         comment = _FACTORS if self._trees else _PLACES
         tables = [f"/* {comment} */"] if self.tables else []
-        for name, lines in self.tables.items():
-            tables += [f"static const int {name}[] = {{", *(f"    {line}" for line in lines), "};"]
+        for form in ("", ONE, SEVERAL):
+            tables += self._write_tables(form)
         unused = [w.name for w in self.procedure.inputs if w.sparsity.nnz and w.name not in self.read]
         return Written(
             tuple(sorted(self.headers, key=lambda name: name != ANGLES)),
@@ -191,6 +207,15 @@ class Writer:
             tuple(unused),
             tuple(self.lines),
         )
+
+    def _write_tables(self, form: str) -> list[str]:
+        """Write the tables that both forms of the kernel need, or only one."""
+        lines = []
+        for name, numbers in self.tables.items():
+            forms = self._forms[name]
+            if form == (next(iter(forms)) if len(forms) == 1 else ""):
+                lines += [f"static const int {name}[] = {{", *(f"    {line}" for line in numbers), "};"]
+        return [form, *lines, "#endif"] if form and lines else lines
 
 
 def _render(kind: str, **view: object) -> list[str]:
@@ -357,12 +382,12 @@ class _System:
     locals: tuple[str, ...] = field(default=())
 
 
-def _describe(writer: Writer, pattern: Pattern, factors: Sequence[str], name: str) -> _System:
+def _describe(writer: Writer, pattern: Pattern, factors: Sequence[str], name: str, form: str = "") -> _System:
     kind, n = type(pattern).__name__.lower(), pattern.size
     scales = f"mbs_real {name}_scales[{n}];"
     if isinstance(pattern, Tree):
         full = f"{name}_full"
-        return _System(kind, writer.tree(pattern), tuple(factors), full, (f"mbs_real {full}[{n * n}];", scales))
+        return _System(kind, writer.tree(pattern, form), tuple(factors), full, (f"mbs_real {full}[{n * n}];", scales))
     return _System(kind, (), tuple(factors), factors[0], (scales,))
 
 
@@ -403,24 +428,28 @@ def is_wide(stage: Solve) -> bool:
 
 def _call_solve(writer: Writer, stage: Solve, factors: Sequence[str], rows: str) -> tuple[str, tuple[object, ...]]:
     """Return the function that solves, and its arguments."""
-    system = _describe(writer, stage.pattern, factors, stage.name)
     wide, turned = is_wide(stage), stage.transposed and not stage.pattern.is_symmetric
+    form = ONE if wide else ""
+    system = _describe(writer, stage.pattern, factors, stage.name, form)
     writer.headers |= {COLUMNS if wide else _HEADERS[type(stage.pattern)]: None}
     function = "columns" if wide else "transposed" if turned else system.kind
-    below = writer.below(stage.pattern) if wide and isinstance(stage.pattern, Tree) else ()
+    below = writer.below(stage.pattern, form) if wide and isinstance(stage.pattern, Tree) else ()
     return f"mbs_solve_{function}", (stage.pattern.size, *system.tables, *below, *system.factors, stage.width, rows)
 
 
 def _write_solve(writer: Writer, stage: Solve) -> None:
-    n, width, right = stage.pattern.size, stage.width, stage.right
+    numbers, right = stage.pattern.size * stage.width, stage.right
+    groups = group_columns(stage) if is_wide(stage) else None
     writer.read.update(wire.name for wire in stage.reads)
     rows, places = writer.name(right), ""
+    count = f"MBS_EITHER({numbers}, {groups.numbers})" if groups else str(numbers)
     if not writer.is_laid_out(right):
         writer.headers[WIRES] = None
-        rows, places = f"{stage.name}_rows", writer.tabulate(f"mbs_places_{right.name}", right.places)
-        writer.locals.append(f"{'MBS_ALIGNED ' if is_wide(stage) else ''}mbs_real {rows}[{n * width}];")
-    function, arguments = _call_solve(writer, stage, [writer.name(w) for w in stage.factors], rows)
-    writer.headers |= {} if is_wide(stage) else {WIRES: None}
+        rows, places = f"{stage.name}_rows", _tabulate_places(writer, stage, groups)
+        writer.locals.append(f"{'MBS_ALIGNED ' if groups else ''}mbs_real {rows}[{count}];")
+    factors = [writer.name(w) for w in stage.factors]
+    function, arguments = _call_solve(writer, stage, factors, rows)
+    writer.headers |= {} if groups else {WIRES: None}
     writer.lines += _render(
         "solve",
         function=function,
@@ -429,18 +458,41 @@ def _write_solve(writer: Writer, stage: Solve) -> None:
         count=right.sparsity.nnz,
         right=writer.name(right),
         rows=rows,
-        numbers=n * width,
-        width=width,
-        wide=is_wide(stage),
+        numbers=count,
+        width=stage.width,
+        wide=groups is not None,
         sign=-1 if stage.negated else 1,
         blocks=[_take(writer, stage, block) for block in stage.blocks if block.result.sparsity.nnz],
+        groups=_call_groups(writer, stage, groups, factors, rows) if groups else (),
+        results=[writer.name(wire) for wire in groups.results] if groups else (),
     )
+
+
+def _tabulate_places(writer: Writer, stage: Solve, groups: Groups | None) -> str:
+    """Write where the right-hand sides stand, by the number of states."""
+    name, right = f"mbs_places_{stage.right.name}", stage.right
+    if groups is None:
+        return writer.tabulate(name, right.places)
+    one = writer.tabulate(name, right.places, ONE)
+    several = writer.tabulate(f"{name}_in_groups", (groups.place(r, c) for c, r in right.sparsity.entries), SEVERAL)
+    return f"MBS_EITHER({one}, {several})"
+
+
+def _call_groups(writer: Writer, stage: Solve, groups: Groups, factors: Sequence[str], rows: str) -> tuple[object, ...]:
+    """Return the arguments of the function that solves for several states."""
+    steps, of_groups = groups.write()
+    tables = (
+        writer.tabulate(f"mbs_steps_{stage.right.name}", steps, SEVERAL),
+        writer.tabulate(f"mbs_groups_{stage.right.name}", of_groups, SEVERAL),
+    )
+    return (stage.pattern.size, len(groups.groups), *tables, *factors, rows, "mbs_results")
 
 
 def _take(writer: Writer, stage: Solve, block: Block) -> dict[str, object]:
     """Describe how a result is taken from the rows of X."""
     pattern, n = block.result.sparsity, stage.pattern.size
-    is_block = is_wide(stage) and pattern.is_dense and pattern.rows == n
+    wide = is_wide(stage)
+    is_block = wide and pattern.is_dense and pattern.rows == n
     places = (r * stage.width + c - block.first for r, c in block.entries(n))
     return {
         "result": writer.name(block.result),
@@ -448,7 +500,7 @@ def _take(writer: Writer, stage: Solve, block: Block) -> dict[str, object]:
         "height": pattern.rows,
         "columns": pattern.cols,
         "count": pattern.nnz,
-        "places": "" if is_block else writer.tabulate(f"mbs_places_{block.result.name}", places),
+        "places": "" if is_block else writer.tabulate(f"mbs_places_{block.result.name}", places, ONE if wide else ""),
     }
 
 
