@@ -73,7 +73,15 @@ def random_model(seed: int, size: int) -> Model:
     )
 
 
-OF_ELEMENTS = ("distances", "lengths", "stretches", "tensions", "contact_forces", "touching")  # that few models have
+OF_ELEMENTS = (
+    "distances",
+    "lengths",
+    "stretches",
+    "tensions",
+    "contact_forces",
+    "touching",
+    "meetings",
+)  # of few models
 
 
 def random_scene(model: Model, seed: int) -> Scene:

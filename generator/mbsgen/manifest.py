@@ -168,6 +168,11 @@ class RigidPair(_Entry):
     restitution: float
     coefficient: float  # of dry friction
 
+    @property
+    def is_stop(self) -> bool:
+        """Return False: solids are no stop of a number."""
+        return False
+
 
 class OpenJoint(_Entry):
     """A joint whose rigid stops and dry friction a use gives: their force is a signal, in the direction of q."""

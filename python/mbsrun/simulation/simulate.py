@@ -57,7 +57,7 @@ class InsideError(MbsError):
 
     def __init__(self, point: RigidPoint | RigidPair, depth: float) -> None:
         finding = f"contact {point.name} starts {depth:.4g} m inside the other side; start outside or in touch"
-        if isinstance(point, RigidPoint) and point.is_stop:
+        if point.is_stop:
             finding = f"stop {point.name} starts {depth:.4g} beyond its limit; start within its limits"
         super().__init__(finding)
 
@@ -329,9 +329,9 @@ class _Record:
     def _find_contacts(self, q: Array) -> tuple[Array, Array, Array] | None:
         """Return the forces of rigid contacts, without stops, normal parts of all, and the distances of solids."""
         manifest = self.kernels.manifest
-        if not manifest.touching:
+        count = len(manifest.rigid) + len(manifest.meetings)
+        if not count:
             return None
-        count = len(manifest.touching)
         forces = np.array(self.pushes).reshape(-1, count, 3) if self.pushes else np.full((len(q), count, 3), np.nan)
         normals, distances = np.zeros((len(q), 0, 3)), np.zeros((len(q), 0))
         if manifest.rigid:

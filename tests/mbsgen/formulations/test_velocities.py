@@ -107,11 +107,11 @@ def test_a_tree_without_sensors_or_quaternions_has_none_of_their_functions():
     assert (
         set(FUNCTIONS) - set(select_functions(tree))
         == {"sensors", "motion", "accelerations", "attitudes", "jacobian", "rates", "distances"}
-        | {"contact_forces", "lengths", "stretches", "tensions", "touching"}
+        | {"contact_forces", "lengths", "stretches", "tensions", "touching", "meetings"}
         | of_loops
     )
     zero = Integer(0)
     sensor = Sensor("base", 0, (zero, zero, zero), exact_matrix(np.eye(3)))
     some = replace(tree, sensors=(sensor,), quaternions=(Quaternion("ball", 1, is_free=False),))
-    of_forces = {"distances", "contact_forces", "lengths", "stretches", "tensions", "touching"}
+    of_forces = {"distances", "contact_forces", "lengths", "stretches", "tensions", "touching", "meetings"}
     assert set(select_functions(some)) == set(FUNCTIONS) - of_loops - of_forces

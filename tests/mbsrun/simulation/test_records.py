@@ -126,7 +126,7 @@ def test_forces_of_contacts_leave_stops_out_and_normal_parts_do_not() -> None:
     normals = np.array([[[0.0, 1.0], [0.6, 0.0], [0.8, 0.0]]] * 2)  # (K, 3, points)
 
     class Kernels:
-        manifest = SimpleNamespace(rigid=points)
+        manifest = SimpleNamespace(rigid=points, meetings=())
 
         def __call__(self, *_: Any, **__: Any) -> dict[str, Array]:
             return {"direction": normals}
@@ -137,7 +137,7 @@ def test_forces_of_contacts_leave_stops_out_and_normal_parts_do_not() -> None:
     assert found[1] == pytest.approx(np.array([[22.0, 4.0], [8.0, 7.0]]))
     none = make(kernels=Kernels())._find_contacts(np.zeros((2, 1)))
     assert (none[0].shape, np.isnan(none[0]).all(), none[1].shape) == ((2, 3), True, (2, 2))
-    free = make(kernels=SimpleNamespace(manifest=SimpleNamespace(rigid=())))
+    free = make(kernels=SimpleNamespace(manifest=SimpleNamespace(rigid=(), meetings=())))
     assert free._find_contacts(np.zeros((2, 1))) is None
 
 
@@ -248,7 +248,7 @@ def test_starts_inside_the_other_side_are_refused(depth: float, is_inside: bool)
     points = [SimpleNamespace(name=x, is_stop=False, is_coupling=False) for x in "ab"]
 
     class Kernels:
-        manifest = SimpleNamespace(rigid=points)
+        manifest = SimpleNamespace(rigid=points, meetings=())
 
         def __call__(self, *_: Any, **__: Any) -> dict[str, Array]:
             return {"clearance": np.array([[-0.5e-6], [-depth]])}

@@ -62,7 +62,7 @@ def manifest_of(*laws: Any, **given: Any) -> Any:
     contacts = tuple(law for law in laws if isinstance(law, OpenContact))
     known = {
         "coordinates": [SimpleNamespace(name=name) for name in ("x", "a")], "positions": ("x", "a"), "rigid": (),
-        "open_joints": joints, "open_contacts": contacts, "model": "m",
+        "meetings": (), "open_joints": joints, "open_contacts": contacts, "model": "m",
     }  # fmt: skip
     return SimpleNamespace(**(known | given))
 
