@@ -58,6 +58,13 @@ def test_markers(tmp_path: Path) -> None:
     assert np.isnan(found.values[0]).tolist() == [False] * 3 + [True] * 3
 
 
+def test_times_of_markers_increase_whatever_their_frames_are(tmp_path: Path) -> None:
+    found = read(tmp_path, "a.trc", TRC.replace("\n1\t0.00", "\n9\t0.00"))
+    assert found.times.tolist() == [0, 0.01]  # type: ignore[attr-defined]
+    with pytest.raises(InputError, match='column "Time": the time 0 follows 0'):
+        read(tmp_path, "a.trc", TRC.replace("2\t0.01", "2\t0.00"))
+
+
 def test_storage(tmp_path: Path) -> None:
     """Degrees are of angles alone: the unit of the use decides."""
     for name in ("walk.sto", "walk.MOT"):

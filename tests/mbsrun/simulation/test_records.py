@@ -272,6 +272,28 @@ def test_processor_time_of_steps_adds_up(monkeypatch: pytest.MonkeyPatch) -> Non
     assert effort.seconds == 14.0
 
 
+def test_accelerations_are_noted_unknown_or_computed_by_their_modes() -> None:
+    """Time stepping notes its own; with impacts between steps, there are none; modes have their forces."""
+    qd = np.ones((2, 1))
+    record = make(
+        strikes=(), switches=False, observer=SimpleNamespace(find_accelerations=lambda *_: "of the equations"),
+        forces=SimpleNamespace(find_all=lambda *given: (f"of {given[-1]}", "multipliers", "driving")),
+    )  # fmt: skip
+
+    def find(modes: Any = None) -> Any:
+        return record._find_accelerations(None, None, qd, None, modes)
+
+    assert find() == "of the equations"
+    assert find("modes") == "of modes"
+    record.switches = True
+    assert find("modes") == "of modes"
+    record.strikes = (1,)
+    assert np.isnan(find("modes")).all()
+    assert find("modes").shape == (2, 1)
+    record.rates = [[1.0], [2.0]]
+    assert find().tolist() == [[1.0], [2.0]]
+
+
 # --- files ----------------------------------------------------------------------------------------------------------
 
 

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from mbsrun.ocp.problem.modes import FREE, LOWER, STICK, UPPER
+from mbsrun.ocp.solving import following
 from mbsrun.ocp.solving.following import TOUCHES, _list_rows, _place_start, _Run
 from mbsrun.simulation.motion import Kind, Mode
 
@@ -208,3 +209,82 @@ def test_a_start_is_put_on_its_stop_and_at_rest() -> None:
         assert speeds.tolist() == [8.0, 0.0 if rests else 1e-9]
         assert motion.q[0, 1] == q
         assert math.isfinite(found[1])
+
+
+# --- a whole run ----------------------------------------------------------------------------------------------------
+
+
+def go(monkeypatch: pytest.MonkeyPatch, errors: list[float], finding: str = "") -> tuple[Any, list[Any]]:
+    """Follow six parts with these errors; the third one may differ in a finding. Returns what each part starts from."""
+    run, asked = make(), list[Any]()
+    left = iter(errors)
+
+    def follow(kernels: Any, drive: Any, q: Any, qd: Any, settings: Any) -> Any:
+        assert (kernels, drive) == (run.kernels, "inputs")
+        asked.append((np.asarray(q).tolist(), np.asarray(qd).tolist(), settings.duration, settings.rtol, settings.atol))
+        return move(10.0 + len(asked), 20.0 + len(asked))
+
+    monkeypatch.setattr(following, "simulate", follow)
+    monkeypatch.setattr(following, "_place_start", lambda *_: (np.array([1.0]), np.array([2.0])))
+    monkeypatch.setattr(run, "drive", lambda _: "inputs", raising=False)
+    monkeypatch.setattr(run, "compare", lambda part, _: finding if (part.phase, part.mesh) == (1, 1) else "")
+    monkeypatch.setattr(run, "measure", lambda *_: next(left))
+    return run.go(), asked
+
+
+def test_each_part_starts_where_the_one_before_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    """At a tolerance of 1e-12; the largest error of all is judged by the accuracy that is asked for."""
+    found, asked = go(monkeypatch, [0.0, 1e-5, 9e-5, 0.0, 1e-6, 0.0])
+    assert found == (9e-5, "")
+    assert asked[0] == ([1.0], [2.0], 0.5, 1e-12, 1e-12)
+    for k in range(1, 6):
+        assert asked[k][:2] == ([10.0 + k] * 2, [20.0 + k] * 2)
+    assert go(monkeypatch, [1e-4, 0, 0, 0, 0, 0])[0] == (1e-4, "")
+    largest, finding = go(monkeypatch, [0, 2e-4, 0, 0, 0, 0])[0]
+    assert largest == 2e-4
+    assert finding == "its states differ by 2.0e-04, more than the accuracy asked for, 1.0e-04"
+
+
+def test_a_part_that_differs_ends_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    found, asked = go(monkeypatch, [0.0] * 6, "it slides")
+    assert (found, len(asked)) == ((None, "it slides"), 3)
+
+
+def test_rows_of_phases_are_followed_by_their_own_mechanism(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of the first phase of each row; a mechanism that cannot be opened is left out, and an error is a finding."""
+
+    class Opened:
+        def __init__(self, name: str) -> None:
+            self.name = name
+
+        def load_closed(self) -> str:
+            return f"closed {self.name}"
+
+    seen: list[Any] = []
+
+    class Run:
+        def __init__(self, plant: Any, kernels: Any, phases: Any, names: Any) -> None:
+            seen.append((plant, kernels, [phase.name for phase in phases], names))
+            self.names = names
+
+        def go(self) -> tuple[float | None, str]:
+            if "d" in self.names:
+                raise ValueError("it cannot move")
+            return 0.5, "late"
+
+    monkeypatch.setattr(following, "Openable", Opened)
+    monkeypatch.setattr(following, "_Run", Run)
+    monkeypatch.setattr(following, "_list_rows", lambda _: iter([[1, 2], [0], [3]]))
+    monkeypatch.setattr(following, "equip", lambda plant, problem, unknowns: (plant.name, problem, unknowns))
+    phases = [
+        SimpleNamespace(name=name, problem=f"problem {name}", trajectory=SimpleNamespace(unknowns=name))
+        for name in "abcd"
+    ]
+    solution: Any = SimpleNamespace(phases=phases, names="abcd")
+    plants: Any = SimpleNamespace(phases=[object(), Opened("B"), Opened("C"), Opened("D")])
+    found = [(x.phases, x.error, x.finding) for x in following.follow_modes(solution, plants)]
+    assert found == [(("b", "c"), 0.5, "late"), (("d",), None, "it cannot move")]
+    assert seen == [
+        (("B", "problem b", "b"), "closed B", ["b", "c"], ("b", "c")),
+        (("D", "problem d", "d"), "closed D", ["d"], ("d",)),
+    ]
