@@ -13,7 +13,7 @@ from mbsgen.formulations.chain import Chain, check_pivot, write_chain
 from mbsgen.formulations.parsimony.articulated import accelerations, find_depths
 from mbsgen.formulations.parsimony.elimination import solve
 from mbsgen.formulations.parsimony.mass_matrix import joint_matrix, mass_matrix
-from mbsgen.formulations.parsimony.plan import Choice, NoSuchPlanError, Plan
+from mbsgen.formulations.parsimony.plan import Choice, NoSuchPlanError, Plan, Transferred
 from mbsgen.formulations.parsimony.proportions import Proportions, find_least
 from mbsgen.formulations.parsimony.regrouping import regroup, restrain
 from mbsgen.formulations.parsimony.residual import residual
@@ -248,23 +248,25 @@ def find_least_shares(tree: Tree, reductions: Reductions) -> dict[int, float]:
 def _allow(tree: Tree, reductions: Reductions, segments: Sequence[Segment], restrain: Restraint) -> Restraint:
     """Refuse plans that divide by 0, or move masses out of proportion, at the parameters' values."""
     chain, known = align_numbers(tree, reductions)
-
-    def vanishes(plan: Plan, own: Segment, number: Segment) -> bool:
-        if not (own.parent and plan[own.parent].scaled):
-            return False
-        return any(x.is_zero and not y.is_zero for x, y in zip(number.d, own.d, strict=True))
+    vanishing = {  # bodies whose directions with lengths would be 0
+        own.parent
+        for own, number in zip(segments, known, strict=True)
+        if own.parent and any(x.is_zero and not y.is_zero for x, y in zip(number.d, own.d, strict=True))
+    }
 
     @cache
-    def fits(plan: Plan) -> bool:
+    def may_move(by_runtime: bool, moved: tuple[Transferred, ...]) -> bool:
         try:
-            regroup(chain.builder, known, plan)
+            regroup(chain.builder, known, Plan(tuple(Choice(mass=mass, spin_from=k) for mass, k in moved), by_runtime))
         except TapeError:
             return False
-        return not any(vanishes(plan, own, number) for own, number in zip(segments, known, strict=True))
+        return True
 
     def restrain_plan(plan: Plan) -> Plan | None:
         found = restrain(plan)
-        return found if found is not None and fits(found) else None
+        if found is None or not may_move(found.by_runtime, found.moved):
+            return None
+        return None if any(found[number].scaled for number in vanishing) else found
 
     return restrain_plan
 
@@ -276,22 +278,24 @@ def _restraint(tree: Tree, reductions: Reductions) -> Restraint:
     chain, segments = align_numbers(tree, reductions)
     proportions = Proportions(segments)
 
+    @cache
     def fits(number: int, moved: Moments) -> bool:
         return proportions.growth(number, moved) <= LARGEST_GROWTH
 
     @cache
-    def move(plan: Plan) -> Plan | None:
+    def move(by_runtime: bool, moved: tuple[Transferred, ...]) -> tuple[Transferred, ...] | None:
+        plan = Plan(tuple(Choice(mass=mass, spin_from=k) for mass, k in moved), by_runtime)
         try:
-            return restrain(chain.builder, segments, plan, fits)
+            return restrain(chain.builder, segments, plan, fits).moved
         except NoSuchPlanError:
             return None
 
     def restrain_plan(plan: Plan) -> Plan | None:
-        found = move(replace(plan, choices=tuple(Choice(mass=c.mass, spin_from=c.spin_from) for c in plan.choices)))
-        if found is None:
-            return None
+        found = move(plan.by_runtime, plan.moved)
+        if found is None or found == plan.moved:
+            return None if found is None else plan
         choices = (
-            replace(c, mass=x.mass, spin_from=x.spin_from) for c, x in zip(plan.choices, found.choices, strict=True)
+            replace(c, mass=mass, spin_from=spin_from) for c, (mass, spin_from) in zip(plan.choices, found, strict=True)
         )
         return replace(plan, choices=tuple(choices))
 

@@ -56,7 +56,7 @@ C = Syntax(
 )
 
 
-@dataclass(frozen=True)
+@dataclass(slots=True, unsafe_hash=True)  # as if frozen: many are made
 class Statement:
     """`target = expression`."""
 

@@ -38,7 +38,7 @@ from mbsgen.tape.builder import Builder, Scalar
 Entries = dict[tuple[int, int], Scalar]  # of M, by body numbers (ancestor, descendant); others are zero
 
 
-@dataclass(frozen=True)
+@dataclass(slots=True, unsafe_hash=True)  # as if frozen: many are made
 class Motion:
     """The acceleration of a body's origin, and its angular acceleration."""
 
@@ -70,7 +70,7 @@ class Motion:
         return Motion(kinematics.arrive(segment, self.a), kinematics.arrive(segment, self.OMp))
 
 
-@dataclass(frozen=True)
+@dataclass(slots=True, unsafe_hash=True)  # as if frozen: many are made
 class Inertia:
     """Inertia at the origin of a body: F = M a + B OMp, N = BT a + J OMp."""
 

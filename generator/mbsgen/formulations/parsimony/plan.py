@@ -37,6 +37,8 @@ class Meeting(Enum):
     __hash__ = object.__hash__
 
 
+Transferred = tuple[Mass, int]  # the mass that moves from a body, and the moment that becomes spin
+
 _T = TypeVar("_T", "Choice", "Plan")
 
 
@@ -93,6 +95,11 @@ class Plan:
     def flip(self, flag: str) -> Plan:
         """Return the plan with one of its flags the other way, by its name."""
         return _flip(self, flag)
+
+    @property
+    def moved(self) -> tuple[Transferred, ...]:
+        """The choices that inertia moves by, of each body."""
+        return tuple([(choice.mass, choice.spin_from) for choice in self.choices])
 
     @property
     def carried_down(self) -> Plan:

@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 import operator
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import reduce
 
 from mbsgen.algebra.dense import (
@@ -47,6 +48,7 @@ class Proportions:
             int, Dense
         ] = {}  # of each body's least inertia, with its joint free, about the parent's origin
         self._least: dict[int, Dense] = {}
+        self._known: dict[int, tuple[_Present, _Present]] = {}  # by the body that moments leave
         for segment in reversed(segments):
             beyond = [s.number for s in children(segments, segment.number)]
             self._least[segment.number] = least = self._bound(segment, beyond)
@@ -74,8 +76,10 @@ class Proportions:
     def growth(self, number: int, moved: Moments) -> float:
         """Return the largest ratio of the moments that leave body `number` to the inertia present."""
         inertia = find_spatial(moved)
-        there = self._least[self._segments[number].parent], self._carry(number, 0.0)
-        return min(_ratio(inertia, x) for x in there)
+        if number not in self._known:
+            there = self._least[self._segments[number].parent], self._carry(number, 0.0)
+            self._known[number] = _Present.of(there[0]), _Present.of(there[1])
+        return min(x.compare(inertia) for x in self._known[number])
 
 
 def _vector(v: Vector[Scalar]) -> Row:
@@ -138,17 +142,29 @@ def _weakest(inertia: Dense) -> float:
     return find_eigen(divide_both(inertia, _scale(inertia)))[0][0]
 
 
-def _ratio(moved: Dense, there: Dense) -> float:
-    """Find the largest ratio of one inertia to another over all motions, in magnitude."""
-    scale = _scale(there)
-    values, vectors = find_eigen(divide_both(there, scale))
-    felt = times(times(vectors, divide_both(moved, scale)), transpose(vectors))
-    first = sum(value <= NEGLIGIBLE for value in values)  # of the motions that have inertia
-    if find_largest(felt[:first]) > NEGLIGIBLE * find_largest(felt):
-        return math.inf
-    size = tuple(math.sqrt(value) for value in values[first:])
-    ratios, _ = find_eigen(divide_both(tuple(row[first:] for row in felt[first:]), size))
-    return max(map(abs, ratios), default=0.0)
+@dataclass(frozen=True)
+class _Present:
+    """An inertia, by its scales, and the eigenvalues and eigenvectors of the scaled matrix."""
+
+    scale: Row
+    values: Row
+    vectors: Dense
+
+    @staticmethod
+    def of(inertia: Dense) -> _Present:
+        scale = _scale(inertia)
+        return _Present(scale, *find_eigen(divide_both(inertia, scale)))
+
+    def compare(self, moved: Dense) -> float:
+        """Find the largest ratio of another inertia to this one over all motions, in magnitude."""
+        values, vectors = self.values, self.vectors
+        felt = times(times(vectors, divide_both(moved, self.scale)), transpose(vectors))
+        first = sum(value <= NEGLIGIBLE for value in values)  # of the motions that have inertia
+        if find_largest(felt[:first]) > NEGLIGIBLE * find_largest(felt):
+            return math.inf
+        size = tuple(math.sqrt(value) for value in values[first:])
+        ratios, _ = find_eigen(divide_both(tuple(row[first:] for row in felt[first:]), size))
+        return max(map(abs, ratios), default=0.0)
 
 
 def find_least(segments: Sequence[Segment], segment: Segment) -> float:

@@ -63,9 +63,8 @@ def keep(builder: Builder, segments: Sequence[Segment]) -> dict[int, RegroupedIn
 
 def regroup(builder: Builder, segments: Sequence[Segment], plan: Plan) -> Mapping[int, RegroupedInertia]:
     """Regroup from the leaves to the base. Raises NoSuchPlanError for a plan that does not fit."""
-    moved = ((choice.mass, choice.spin_from) for choice in plan.choices)  # all that this depends on
     write = partial(_regroup, builder, segments, plan)
-    return builder.remember(("regrouped", plan.by_runtime, *moved), (segments,), write)
+    return builder.remember(("regrouped", plan.by_runtime, *plan.moved), (segments,), write)  # all it depends on
 
 
 def _regroup(builder: Builder, segments: Sequence[Segment], plan: Plan) -> Mapping[int, RegroupedInertia]:

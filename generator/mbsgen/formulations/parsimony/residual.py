@@ -32,7 +32,7 @@ from mbsgen.formulations.parsimony.writing import Writing
 from mbsgen.tape.builder import Builder, Scalar
 
 
-@dataclass(frozen=True)
+@dataclass(slots=True, unsafe_hash=True)  # as if frozen: many are made
 class Force:
     """A force with its moment about the origin of the body that it is written at."""
 
@@ -43,7 +43,7 @@ class Force:
         return Force(self.F + other.F, self.N + other.N)
 
 
-@dataclass(frozen=True)
+@dataclass(slots=True, unsafe_hash=True)  # as if frozen: many are made
 class Load(Force):
     """The force, and the moment about the body's origin, that a joint transmits, where the body is written."""
 
@@ -57,7 +57,7 @@ def unloaded(builder: Builder, momentum: Scalar | None = None) -> Load:
     return Load(none, none, none, momentum)
 
 
-@dataclass(frozen=True)
+@dataclass(slots=True, unsafe_hash=True)  # as if frozen: many are made
 class _Inertial:
     """A body's own load without its spin inertia."""
 
@@ -68,7 +68,7 @@ class _Inertial:
     felt: Scalar  # more inertia along the axis
 
 
-@dataclass(frozen=True)
+@dataclass(slots=True, unsafe_hash=True)  # as if frozen: many are made
 class Direction:
     """A direction fixed in a body, where the body is written, with its length and its field."""
 

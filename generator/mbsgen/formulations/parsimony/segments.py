@@ -25,7 +25,7 @@ from mbsgen.model.tree import Body, Motion, RigidPart
 from mbsgen.tape.builder import Builder, Scalar
 
 
-@dataclass(frozen=True)
+@dataclass(slots=True, unsafe_hash=True)  # as if frozen: many are made
 class Moments:
     """Mass, first and second moment about a body's origin."""
 

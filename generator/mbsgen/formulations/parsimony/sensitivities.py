@@ -415,7 +415,7 @@ def add_entry(entries: Entries, met: Encounter[L], segment: Segment, value: Scal
     entries[place[::-1] if by_column else place] = total
 
 
-@dataclass(frozen=True)
+@dataclass(slots=True, unsafe_hash=True)  # as if frozen: many are made
 class Loads:
     """The loads on all bodies beyond a joint for a unit of its coordinate, rate and acceleration; and K.
 

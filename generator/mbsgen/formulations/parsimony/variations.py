@@ -50,7 +50,7 @@ class Displacement:
     spin: Scalar | None = None  # across the axis of a group: twice the angular velocity w along it
 
 
-@dataclass(frozen=True)
+@dataclass(slots=True, unsafe_hash=True)  # as if frozen: many are made
 class Variation:
     """The changes of a body's accelerations with a joint's coordinate, rate and acceleration.
 
