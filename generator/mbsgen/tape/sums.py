@@ -15,9 +15,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from copy import copy
 from dataclasses import dataclass
-from functools import partial, reduce
+from functools import reduce
 from heapq import heapify, heappop, heappush
 from itertools import combinations
+from typing import Any
 
 from mbsgen.roles import Role
 from mbsgen.tape.builder import Builder, Scalar
@@ -192,12 +193,13 @@ class _Sums:
 
     # -- order --------------------------------------------------------------------------------------------------
 
-    def _order(self) -> bool:
-        """Sort the terms of each sum and product by the clock at which they are ready, where this ends it earlier."""
-        tape, has_sorted, find, nothing = self.tape, False, self._by_operation.get, dict[int, list[_Term]]()
+    def _order(self) -> dict[int, list[_Term]]:
+        """Sort the terms of sums and products by the clock at which they are ready, where this ends them earlier."""
+        tape, found = self.tape, dict[int, list[_Term]]()
+        wholes = {**self.wholes[ADD], **self.wholes[MUL]}
         ready = dict.fromkeys(range(tape.first_operation), 0)
         for value, (op, a, b) in enumerate(tape.operations, tape.first_operation):
-            terms = find(op, nothing).get(value)
+            terms = wholes.get(value)
             if terms is None:
                 began = max(ready[a], ready[b] if b >= 0 else 0)
                 ready[value] = 0 if self.is_constant[value] else began + CLOCKS.get(op, CLOCKS_OF_FUNCTION)
@@ -208,11 +210,11 @@ class _Sums:
                 continue
             clocks, step = {x: self._find_clock(ready, x) for x, _ in terms}, CLOCKS[op]
             by_time = sorted(terms, key=lambda term: clocks[term[0]])
-            found, before = (_end([clocks[x] for x, _ in some], step) for some in (by_time, terms))
-            if found < before:
-                terms[:], has_sorted = by_time, True
-            ready[value] = min(found, before)
-        return has_sorted
+            end, before = (_end([clocks[x] for x, _ in some], step) for some in (by_time, terms))
+            if end < before:
+                found[value] = by_time
+            ready[value] = min(end, before)
+        return found
 
     def _find_clock(self, ready: dict[int, int], value: int) -> int:
         """Return the clock at which a value is ready; values of pairs are added to those known."""
@@ -224,28 +226,35 @@ class _Sums:
 
     # -- the new tape -------------------------------------------------------------------------------------------
 
-    @property
-    def _by_operation(self) -> Mapping[Op, Mapping[int, list[_Term]]]:
-        return {op: self.wholes[kind] for op, kind in _KINDS.items()}
-
     def write_ways(self, *, order: bool) -> Rewritten:
         """Write the tape with terms as they stand, and, if asked for, as they are ready."""
-        plain = self._write()
-        return Rewritten(plain, self._write() if order and self._order() else plain)
+        plain, sorted_ = self._write({}), self._order() if order else {}
+        return Rewritten(plain, self._write(sorted_) if sorted_ else plain)
 
-    def _write(self) -> Tape:
-        """Write the tape with its sums and products as they are now."""
-        tape, builder, find, nothing = self.tape, Builder(), self._by_operation.get, dict[int, list[_Term]]()
-        refs = dict(enumerate(x.ref for x in leaves(tape, builder, declare_inputs(tape, builder))))
+    def _write(self, ordered: Mapping[int, list[_Term]]) -> Tape:
+        """Write the tape with its sums and products as they are now, some of them in another order."""
+        tape, builder, inner = self.tape, Builder(), self.inner
+        wholes = {**self.wholes[ADD], **self.wholes[MUL], **ordered}
+        refs: list[Ref | None] = [x.ref for x in leaves(tape, builder, declare_inputs(tape, builder))]
+        refs += [None] * (len(self.is_constant) - len(refs))
+        known: list[Any] = refs  # operands are written before their users
+        add, mul, operate = builder.add, builder.mul, builder.operate
         for value, (op, a, b) in enumerate(tape.operations, tape.first_operation):
-            terms = find(op, nothing).get(value)
-            if terms is not None:
-                refs[value] = self._combine(builder, refs, _KINDS[op], terms)
-            elif value not in self.inner:
-                refs[value] = builder.operate(op, refs[a], refs[b] if b >= 0 else 0)
+            terms = wholes.get(value)
+            if terms is None:
+                if value not in inner:
+                    refs[value] = operate(op, known[a], known[b] if b >= 0 else 0)
+                continue
+            if len(terms) == 2:
+                (x, r), (y, s) = terms
+                first, second = refs[x], refs[y]
+                if first is not None and second is not None:
+                    refs[value] = mul(first, second) if op is MUL else add(r * first, s * second)
+                    continue
+            refs[value] = self._combine(builder, refs, _KINDS[op], terms)
         tested = {v for g in tape.guards for v in (g.value, g.scale)}
         shown = tested.union(tape.labels, *(o.values for o in tape.outputs)) - self.inner
-        values = {v: Scalar(builder, refs[v]) for v in shown}
+        values = {v: Scalar(builder, known[v]) for v in shown}
         labelled = [(v, text) for v, text in sorted(tape.labels.items()) if v in values]
         builder.label([values[v] for v, _ in labelled], [text for _, text in labelled])
         for o in tape.outputs:
@@ -253,24 +262,20 @@ class _Sums:
         replay_guards(tape, builder, values)
         return builder.build(tape.function)
 
-    def _combine(self, builder: Builder, refs: dict[int, Ref], kind: Op, terms: Sequence[_Term]) -> Ref:
+    def _combine(self, builder: Builder, refs: list[Ref | None], kind: Op, terms: Sequence[_Term]) -> Ref:
         """Write a sum or product; several constants become one, the first factor or the last term."""
         operate, is_constant = builder.add if kind is ADD else builder.mul, self.is_constant
-        if len(terms) == 2:
-            (x, r), (y, s) = terms
-            if x in refs and y in refs:
-                return operate(r * refs[x], s * refs[y])
         fixed = [self._refer(operate, refs, term) for term in terms if is_constant[term[0]]]
         if len(fixed) < 2:
-            return reduce(operate, map(partial(self._refer, operate, refs), terms))  # a pair where its turn comes
+            return reduce(operate, (self._refer(operate, refs, term) for term in terms))  # a pair where its turn comes
         rest, together = [term for term in terms if not is_constant[term[0]]], reduce(operate, fixed)
         varying = [self._refer(operate, refs, term) for term in rest]
         return reduce(operate, (*varying, together) if kind is ADD else (together, *varying))
 
-    def _refer(self, operate: Callable[[Ref, Ref], Ref], refs: dict[int, Ref], term: _Term) -> Ref:
+    def _refer(self, operate: Callable[[Ref, Ref], Ref], refs: list[Ref | None], term: _Term) -> Ref:
         """Refer to a term; write a pair where it is first asked for."""
         value, sign = term
-        known = refs.get(value)
+        known = refs[value]
         if known is None:
             known = refs[value] = reduce(operate, [self._refer(operate, refs, x) for x in self.pairs[value][1:]])
         return sign * known

@@ -112,14 +112,17 @@ class Writer:
 
     def _count_uses(self) -> list[int]:
         """Count the uses of each node, 0 for one that is not needed; a guard takes a value with either sign."""
-        uses, done = [0] * len(self._nodes), bytearray(len(self._nodes))
-        self._walk(uses, done, [ref for result in self._results for ref in result.refs])
+        uses = [0] * len(self._nodes)
+        self._walk(uses, [*uses], [ref for result in self._results for ref in result.refs])
         tested = [ref for test in self._tests for ref in (test.value, test.scale)]
-        self._walk(uses, done, [ref for ref in tested if not uses[abs(ref)]])
+        self._walk(uses, [*uses], [ref for ref in tested if not uses[abs(ref)]])
         return uses
 
-    def _walk(self, uses: list[int], done: bytearray, refs: Iterable[Ref]) -> None:
-        """Add the uses by `refs`, and by the nodes that they need; operands have smaller numbers than their users."""
+    def _walk(self, uses: list[int], done: Sequence[int], refs: Iterable[Ref]) -> None:
+        """Add the uses by `refs`, and by the nodes that they need, except by `done` ones, whose operands are counted.
+
+        Operands have smaller numbers than their users.
+        """
         nodes, last = self._nodes, 0
         for node in map(abs, refs):
             if node:
@@ -127,14 +130,12 @@ class Writer:
                 last = max(last, node)
         for node in range(last, 0, -1):
             if uses[node] and not done[node]:
-                done[node] = 1
                 key = nodes[node]
                 if key.__class__ is tuple:
                     _, a, b = key
-                    if a:
-                        uses[a if a > 0 else -a] += 1
-                    if b:
-                        uses[b if b > 0 else -b] += 1
+                    uses[a if a > 0 else -a] += 1
+                    uses[b if b > 0 else -b] += 1
+        uses[0] = 0  # of no operand
 
     # -- operations with their signs settled ------------------------------------------------------------------
 
@@ -148,6 +149,13 @@ class Writer:
                 continue
             op, a, b = key
             turned = node in turned_nodes
+            if not turned and a > 0 and kept[a] == a and (kept[b] == b if b > 0 else not b and op.arity == 1):
+                if is_literal[a]:
+                    literals[a] = None
+                if is_literal[b]:  # node 0 is no literal
+                    literals[b] = None
+                written[node] = key  # the most operations: as they are
+                continue
             if op is MUL or op is DIV:
                 x, y = kept[a], kept[b]
                 if ((x > 0) is not (y > 0)) is not turned:  # else the sign is right

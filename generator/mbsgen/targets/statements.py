@@ -56,7 +56,7 @@ C = Syntax(
 )
 
 
-@dataclass(slots=True, unsafe_hash=True)  # as if frozen: many are made
+@dataclass(unsafe_hash=True)  # as if frozen: many are made
 class Statement:
     """`target = expression`."""
 
