@@ -21,7 +21,7 @@ from mbsrun.models import Extent
 from mbsrun.simulation import Kind, Motion, Settings, simulate
 from mbsrun.simulation.drive import Piece, control, express, hold, hold_steps
 from mbsrun.simulation.integration.events import Course
-from mbsrun.simulation.integration.touching import TouchingCourse
+from mbsrun.simulation.integration.touching import TouchingCourse, find_rest
 from mbsrun.simulation.motion import Chunk, HaltError
 from tests.mbsrun.simulation.conftest import MODELS, load_texts
 from tests.mbsrun.simulation.planar import HALF, NEEDED, PLANAR, POINT, ROD, grip
@@ -74,8 +74,15 @@ def test_a_ball_bounces_up_to_its_accumulation_point(make: Make) -> None:
     assert times(motion, Kind.IMPACT)[:12] == pytest.approx(
         t0 * (1 + 2 * np.cumsum([0, *e ** np.arange(1, 12)])), abs=1e-12
     )
-    assert times(motion, Kind.REST) == pytest.approx([t0 * (1 + e) / (1 - e)], abs=1e-9)
+    assert times(motion, Kind.REST) == pytest.approx([t0 * (1 + e) / (1 - e)], abs=1e-12)
     assert motion.q[-1] == pytest.approx([0.45, RADIUS, 0.3], abs=1e-12)
+
+
+@pytest.mark.parametrize(("first", "rests"), [(2.0, 2.0), (3.0, 2.0 + 1e-13)])
+def test_the_earliest_forecast_that_later_ones_repeat_is_the_time_of_rest(first: float, rests: float) -> None:
+    """Of forecasts by rebounds of 1 mm/s, 0.1 mm/s and 1 um/s, whose impacts have times to 1e-15 m over the speed."""
+    assert find_rest([(first, 1e-3), (2.0 + 1e-13, 1e-4), (2.0 + 9e-10, 1e-6)]) == rests
+    assert find_rest([(first, 1e-6)]) == first
 
 
 def test_an_event_at_once_is_no_step(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:

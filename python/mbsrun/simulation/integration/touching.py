@@ -30,6 +30,7 @@ STILL = 1e-11  # of the fastest velocity of a point, by its terms: a slower one 
 CREEP = 1e-9  # the same of the velocity itself, where the slip has just turned round: in a plane it seldom vanishes
 REBOUND = 1e-13  # m: a rebound that rises less is the last one; coordinates are rounded to 1e-16
 SLOW = 1e-3  # m/s: only a slower rebound may be the last one
+ROUNDED = 1e-15  # m: the rounding of distances, so that times of impacts at a speed v have errors of ROUNDED/v
 SLACK = 1e-13  # of the forces: by how much they may exceed what friction holds
 
 
@@ -90,6 +91,7 @@ class TouchingCourse(Stepwise[Mode, Guard]):
         self.idle: set[int] = set()  # latches and couplings whose time it is not
         self.coupled: set[int] = set()  # couplings that hold,
         self.worn: set[int] = set()  # and worn ones, until their times end: their force was exceeded
+        self.landings: dict[int, list[tuple[float, float]]] = {}  # of points: when they rest, by each slow rebound
         self.fastest = 0.0  # velocity of a point, so far,
         self.reach = 0.0  # and the same by its terms
         self.passed: tuple[Event, ...] = ()
@@ -188,6 +190,7 @@ class TouchingCourse(Stepwise[Mode, Guard]):
         last = dict[int, float]()
         rebound = np.einsum("pi,pin,n->p", touch.normal[0], touch.slide[0], after)
         rebounding = [k for k in points if restitution[k] > 0 > speed[k] and 0 < rebound[k] < SLOW]
+        self.landings = {k: x for k, x in self.landings.items() if k in rebounding or k not in points}
         if rebounding:
             inertia = self.contacts.find_free(q[None], after[None], piece.at(time, q, after)[None])
             found = self.contacts.touch(q[None], after[None])
@@ -196,8 +199,12 @@ class TouchingCourse(Stepwise[Mode, Guard]):
             qdd = Search(self.contacts, found, inertia, rest, slipping, held=held).find()[1].qdd[0]
             fall = np.einsum("pi,pin,n->p", found.normal[0], found.slide[0], qdd) + found.pull[0]
             for k in rebounding:
-                if fall[k] < 0 and rebound[k] ** 2 <= -2 * fall[k] * REBOUND:
-                    last[k] = time - float(2 * rebound[k] / fall[k] / (1 - self.contacts.restitution[k]))
+                if fall[k] >= 0 or self.contacts.restitution[k] == 1:
+                    continue
+                rests = time - float(2 * rebound[k] / fall[k] / (1 - self.contacts.restitution[k]))
+                self.landings.setdefault(k, []).append((rests, float(rebound[k])))
+                if rebound[k] ** 2 <= -2 * fall[k] * REBOUND:
+                    last[k] = find_rest(self.landings.pop(k))
             if last:
                 restitution[list(last)] = 0.0
                 after, loads, strikes = self.strike(q, qd, M, touch, points, restitution, speed)
@@ -387,6 +394,17 @@ class TouchingCourse(Stepwise[Mode, Guard]):
         if len(t) > 1:
             self.passed, self.loss, self.guards, self.strikes = (), 0.0, (), ()
         return Chunk(t, q, qd, self.interpolate(piece, mode, t, x), segment=segment)
+
+
+def find_rest(landings: list[tuple[float, float]]) -> float:
+    """Return the time of rest, by forecasts of a geometric series at each rebound, with their speeds.
+
+    Times of slow impacts are rounded most. So the earliest forecast counts that later ones repeat, to their rounding.
+    """
+    k = len(landings) - 1
+    while k and abs(landings[k - 1][0] - landings[k][0]) <= ROUNDED / landings[k][1]:
+        k -= 1
+    return landings[k][0]
 
 
 def _lift(J: Array, M: Array, right: Array) -> Array:
