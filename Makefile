@@ -9,7 +9,7 @@ PYTEST = PYTHONDONTWRITEBYTECODE= $(BIN)/pytest -n $(WORKERS)
 BY_FILE = --dist loadfile --no-loadscope-reorder
 PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
-.PHONY: demo docs track style quick test rest check table durations fuzz lint bench bench-growth bench-ocp bench-kkt bench-classics bench-mpc bench-loops bench-community bench-batches bench-contacts bench-identification bench-derivatives bench-gpu bench-learning bench-startup bench-results study laboratory mutants drawn golden schema clean
+.PHONY: demo docs track style quick tidy test rest check table durations fuzz lint bench bench-growth bench-ocp bench-kkt bench-classics bench-mpc bench-loops bench-community bench-batches bench-contacts bench-identification bench-derivatives bench-gpu bench-learning bench-startup bench-results study laboratory mutants drawn golden schema clean
 
 demo: $(VENV)/installed
 	$(BIN)/mbsgen models/arm_pendulum.yaml -o build/arm_pendulum
@@ -28,15 +28,23 @@ quick: style
 TESTS = mkdir -p build; $(BIN)/mypy > build/types.txt 2>&1 & types=$$!; $(PYTEST) $(1) $(BY_FILE); tests=$$?; \
     wait $$types; types=$$?; cat build/types.txt; test $$tests -eq 0 -a $$types -eq 0
 
+# What tests generate and compile is kept from run to run, by the content of its sources, until a week without use.
+KEPT = $(CURDIR)/build/tests_cache
+quick test rest: export MBS_TESTS_CACHE = $(KEPT)
+tidy: $(VENV)/installed-dev
+	@mkdir -p -m 700 $(KEPT)
+	@XDG_CACHE_HOME=$(KEPT) $(BIN)/mbsrun cache --older-than 7
+	@find $(KEPT) -maxdepth 1 -name '*.o' -mtime +7 -delete
+
 # Before a change goes in: style, types, and all tests but the ones that take long. Ten minutes on two cores.
-test: style
+test: style tidy
 	@$(call TESTS,-m "not rest")
 
 # What `make test` leaves out: documents and the site, toolchains, studies, the longest tests. tests/durations.py lists it.
-rest: $(VENV)/installed-dev
+rest: tidy
 	$(PYTEST) -m rest $(BY_FILE)
 
-# Both in one run: the tests of a file that take long share what the others have made.
+# Both in one run, from an empty cache: the tests of a file that take long share what the others have made.
 check: style
 	@$(call TESTS)
 
