@@ -77,6 +77,40 @@ def test_each_muscle_keeps_its_bounds_along_the_path(tmp_path: Path) -> None:
     assert not [x for x in findings.notices if x.alters]
 
 
+def test_each_muscle_has_its_own_activation_dynamics(tmp_path: Path) -> None:
+    """The smooth law or the sharp one, with numbers of the file or of OpenSim's classes, or none."""
+    for name, own in (("sharp", '"upper": {rise: 0.01, fall: 0.04, sharp: true}'), ("direct", '"back": {}')):
+        text, findings = read(name, tmp_path)
+        assert f"rise: 0.03, fall: 0.05, effort: 0, own: {{{own}}}}}\n" in text
+        assert not [x for x in findings.notices if "time constants" in x.text]
+    constant = "<activation_time_constant>0.029999999999999999<"
+    text, findings = read("direct", tmp_path, (constant, constant.replace("0.029999999999999999", "0.02")))
+    assert '"middle": {rise: 0.03, fall: 0.05}' in text
+    assert len([x for x in findings.notices if "in one process of OpenSim 4.6 all have the ones" in x.text]) == 1
+    with pytest.raises(InputError, match=r"time constants of -1 and 0\.05 s; give more than 0"):
+        read("direct", tmp_path, (constant, constant.replace("0.029999999999999999", "-1")))
+
+
+def test_muscles_that_are_left_out_are_named(tmp_path: Path) -> None:
+    """Their bounds, weights and pairs have warnings with lines, and are no faults."""
+    point = '<PathPoint name="front_0">'
+    wrap = (
+        '<PathWrapSet><objects><PathWrap name="w"><wrap_object>w</wrap_object></PathWrap></objects></PathWrapSet>'
+        "<PathPointSet>"
+    )
+    shape = '<WrapObjectSet><objects><WrapSphereObst name="w" /></objects></WrapObjectSet>'
+    text = (REFERENCE / "lift.omoco").read_text("utf-8")
+    start = text.index(point)
+    held = text.rindex("<PathPointSet>", 0, start)
+    changed = text[:held] + wrap + text[held + len("<PathPointSet>") :]
+    changed = changed.replace('<Ground name="ground">', f'<Ground name="ground">{shape}')
+    (tmp_path / "lift.omoco").write_text(changed, "utf-8")
+    findings = Findings("lift.omoco")
+    problem = write_problem(read_study(tmp_path / "lift.omoco", Choices(), findings), "lift.yaml", findings)
+    assert "front" not in problem
+    assert len(list_warnings(findings, "its muscle is not in the model: these bounds are left out")) == 2
+
+
 def test_bounds_of_muscles_wider_than_the_problems_are_named(tmp_path: Path) -> None:
     name = '<MocoVariableInfo name="/forceset/front">'
     wide = (name, f"{name}<bounds>0 inf</bounds>")

@@ -1,18 +1,25 @@
 """Excitations, activations and states of tendons of a study -> `muscles` of a problem, and constraints along the path.
 
-The section `muscles` has one range, here the smallest one that holds the ranges of all excitations and activations; a
-muscle with a narrower range gets a constraint. Without bounds in the study, an activation has the range of its
-excitation, as in Moco.
+The section `muscles` has the activation dynamics of most muscles, and the other ones under `own`. It has one range: the
+smallest one that holds the ranges of all excitations and activations; a muscle with a narrower range gets a
+constraint. Without bounds in the study, an activation has the range of its excitation, as in Moco.
 """
 
 from __future__ import annotations
 
+import json
+from collections import Counter
 from collections.abc import Iterator
 
+from mbsgen.expressions import write
 from mbsgen.importing.findings import Findings
-from mbsgen.importing.omoco.study import FREE, Range, Study, Variable
+from mbsgen.importing.omoco.study import FREE, Lag, Range, Study, Variable
 
 _USUAL = (0.0, 1.0)  # of excitations without bounds
+_SHARED = (
+    "its muscles of De Groote have different time constants, as here; in one process of OpenSim 4.6 all have the ones "
+    "of the first muscle that is computed"
+)
 _TENDON = (0.0, 5.0)  # of the states of tendons, in every problem with `muscles`
 
 
@@ -31,8 +38,22 @@ def write_muscles(study: Study, findings: Findings) -> tuple[str, list[str]]:
         outer = _TENDON if x.kind == "tendon" else widest
         _name_narrower(x, bounds, outer, findings)
         rows += _narrow(x, bounds, outer)
-    lags = "" if study.lags is None else f", rise: {study.lags[0]!r}, fall: {study.lags[1]!r}"
-    return f"muscles: {{excitation: [{widest[0]!r}, {widest[1]!r}]{lags}, effort: 0}}", rows
+    smooth = {x for x in study.lags.values() if x is not None and not x.sharp}
+    if len(smooth) > 1:
+        findings.sum_up(_SHARED)
+    counts = Counter(study.lags.values())
+    most = max(counts, key=counts.__getitem__)
+    names = {write(x.muscle.activation): x.name for x in study.imported.model.forces if x.muscle is not None}
+    own = [f"{json.dumps(names[x])}: {{{_write_lag(lag)}}}" for x, lag in study.lags.items() if lag != most]
+    parts = [f"excitation: [{widest[0]!r}, {widest[1]!r}]", _write_lag(most), "effort: 0"]
+    parts += [f"own: {{{', '.join(own)}}}"] if own else []
+    return f"muscles: {{{', '.join(x for x in parts if x)}}}", rows
+
+
+def _write_lag(lag: Lag | None) -> str:
+    if lag is None:
+        return ""
+    return f"rise: {lag.rise!r}, fall: {lag.fall!r}{', sharp: true' if lag.sharp else ''}"
 
 
 def _find_range(variable: Variable, excitations: dict[str, Variable]) -> Range:

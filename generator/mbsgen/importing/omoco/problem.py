@@ -173,6 +173,10 @@ class Goals:
             for pair in list_within(goal.first(kind)):
                 first = find_text(pair, "initial_variable")
                 last = find_text(pair, "final_variable") or first
+                reasons = [why for x in (first, last) if (why := self._study.find_reason(x))]
+                if reasons:
+                    self._findings.warn(pair, f"{reasons[0]}: the pair is left out")
+                    continue
                 missing = [x for x in (first, last) if x not in paths]
                 for path in missing:
                     meant = nearest(path, list(paths))
@@ -230,6 +234,8 @@ class Goals:
                 for own in matched or []:
                     if own in paths:
                         weights[own] = weight
+                    elif reason := self._study.find_reason(own):
+                        self._findings.warn(given, f"{reason}: its weight is left out")
                     else:
                         meant = nearest(own, paths)
                         remedy = f"did you mean {abbreviate(meant)}?" if meant else "give the path of a variable"

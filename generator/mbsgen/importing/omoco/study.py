@@ -35,6 +35,8 @@ INTERVALS = 100
 TOLERANCE = 1e-8
 _LEAST = {"Millard2012EquilibriumMuscle": 0.01, "Thelen2003Muscle": 0.01}  # excitations; of others 0
 _ACTUATORS = ("CoordinateActuator", "ActivationCoordinateActuator")
+_LAGS = {"Millard2012EquilibriumMuscle": (0.01, 0.04), "Thelen2003Muscle": (0.015, 0.05)}  # s, without numbers
+_USUAL_LAGS = 0.015, 0.06
 _RIGID, _DEGROOTE = "ModOpIgnoreTendonCompliance", "ModOpReplaceMusclesWithDeGrooteFregly2016"
 _SCHEMES = {"trapezoidal": ("lobatto", 2), "hermite-simpson": ("lobatto", 3)}
 _POINTS = re.compile(r"legendre-gauss(-radau)?-([1-9])")
@@ -128,6 +130,15 @@ class Variable:
 
 
 @dataclass(frozen=True)
+class Lag:
+    """The activation dynamics of a muscle."""
+
+    rise: float
+    fall: float
+    sharp: bool = False  # the time changes where the activation is the excitation
+
+
+@dataclass(frozen=True)
 class Grid:
     """The times of a problem, and its points."""
 
@@ -150,8 +161,18 @@ class Study:
     grid: Grid
     variables: Mapping[str, Variable]  # by path
     goals: tuple[Element, ...]
-    lags: tuple[float, float] | None  # rise and fall of activations; None: none
+    lags: Mapping[str, Lag | None]  # of muscles, by the signals of their activations; None: none
     folder: Path
+    unread: Mapping[str, str]  # variables without a counterpart by their paths, or muscles that are left out: why
+
+    def find_reason(self, path: str) -> str:
+        """Return why a variable of the study has no counterpart; "" for one that has."""
+        return find_reason(self.unread, path)
+
+
+def find_reason(unread: Mapping[str, str], path: str) -> str:
+    """Return why a variable, or the muscle that has it, has no counterpart; "" for one that has."""
+    return next((why for own, why in unread.items() if path == own or path.startswith(f"{own}/")), "")
 
 
 def read_study(path: Path, choices: Choices, findings: Findings) -> Study:
@@ -164,7 +185,8 @@ class _File:
 
     def __init__(self, path: Path, root: Element, choices: Choices, findings: Findings) -> None:
         self._path, self._root, self._choices, self._findings = path, root, choices, findings
-        self._lags: tuple[float, float] | None = None
+        self._lags: dict[str, Lag | None] = {}
+        self._unread: dict[str, str] = {}
 
     def read(self) -> Study:
         study = self._root.first("MocoStudy")
@@ -192,7 +214,7 @@ class _File:
         if self._findings.faults:
             raise self._findings.refuse()
         name = study.attributes.get("name", "") or "study"
-        return Study(name, imported, grid, variables, goals, self._lags, self._path.parent)
+        return Study(name, imported, grid, variables, goals, self._lags, self._path.parent, self._unread)
 
     def _name_rest(self, element: Element, read: Sequence[str], idle: Sequence[str]) -> None:
         """Warn of each child that is not read, unless it is empty."""
@@ -245,6 +267,8 @@ class _File:
                 path = info.attributes.get("name", "")
                 if path in own:
                     known[path] = self._bound(known[path], info)
+                elif reason := find_reason(self._unread, path):
+                    self._findings.warn(info, f"{reason}: these bounds are left out")
                 else:
                     self._miss(info, path, own)
         given = phase.first("default_speed_bounds")
@@ -275,7 +299,6 @@ class _File:
     def _list_controls(self, model: Element, imported: Imported) -> Iterator[Variable]:
         own = {x.name: x for x in imported.coordinates}
         used: dict[str, str] = {}
-        lags: list[tuple[float, float]] = []
         for element, path in _walk_components(model, {"ForceSet": "forceset", "ComponentSet": "componentset"}):
             name = element.attributes.get("name", "")
             if element.tag in _ACTUATORS:
@@ -292,27 +315,32 @@ class _File:
                 yield self._make_control(element, path, coordinate)
             elif element.tag in MUSCLES:
                 signal = spell_signal(name)
-                is_quick = find_text(element, "ignore_activation_dynamics").lower() == "true"
-                lags.append(
-                    (-1.0, -1.0)
-                    if is_quick
-                    else (
-                        self._number(element, "activation_time_constant", 0.015),
-                        self._number(element, "deactivation_time_constant", 0.06),
-                    )
-                )
+                if signal not in imported.model.signals:
+                    self._unread[path] = "its muscle is not in the model"
+                    continue
+                self._lags[signal] = lag = self._read_lag(element)
                 low = self._bound_of(element, "min_control", _LEAST.get(element.tag, 0.0))
                 limits = Limits((low, self._bound_of(element, "max_control", 1.0)))
-                excitation = signal if is_quick else f"{signal}_excitation"
+                excitation = signal if lag is None else f"{signal}_excitation"
                 yield Variable(path, excitation, "excitation", signal, limits=limits, origin=element)
-                if not is_quick:
+                if lag is not None:
                     yield Variable(f"{path}/activation", signal, "activation", signal)
-                if f"{signal}_tendon" in imported.model.signals:
+                if f"{signal}_tendon" in imported.model.signals and element.tag in _LAGS and not self._choices.degroote:
+                    self._unread[f"{path}/fiber_length"] = "the state here is the strain of the tendon"
+                elif f"{signal}_tendon" in imported.model.signals:
                     yield Variable(f"{path}/normalized_tendon_force", f"{signal}_tendon", "tendon", signal)
-        if len(set(lags)) > 1:
-            text = f"its muscles have {len(set(lags))} pairs of time constants: all get the first one's"
-            self._findings.sum_up(text, alters=True)
-        self._lags = lags[0] if lags and lags[0][0] > 0 else None
+
+    def _read_lag(self, element: Element) -> Lag | None:
+        """Read the activation dynamics of a muscle."""
+        if element.tag == "RigidTendonMuscle" or find_text(element, "ignore_activation_dynamics").lower() == "true":
+            return None
+        own = _LAGS.get(element.tag, _USUAL_LAGS)
+        rise, fall = (
+            self._number(element, f"{k}activation_time_constant", x) for k, x in zip(("", "de"), own, strict=True)
+        )
+        if rise <= 0 or fall <= 0:
+            self._findings.fault(element, f"time constants of {rise:g} and {fall:g} s", "give more than 0")
+        return Lag(rise, fall, element.tag in _LAGS and not self._choices.degroote)
 
     def _make_control(self, element: Element, path: str, coordinate: FileCoordinate) -> Variable:
         optimal = self._number(element, "optimal_force", 1.0)

@@ -548,7 +548,7 @@ def _place_delay(problem: Problem, delay: Delay) -> tuple[str, ...]:
     if delay.state is None:
         return ("controls", name, "delay")
     lifted = problem.states[delay.state].name
-    return ("controls", lifted, "delay") if name == f"rate_{lifted}" else ("inputs",)
+    return ("controls", lifted, "delay") if name in (f"rate_{lifted}", f"rate_of_{lifted}") else ("inputs",)
 
 
 def _find_slopes(problem: Problem) -> list[Finding]:

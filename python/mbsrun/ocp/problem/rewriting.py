@@ -24,6 +24,7 @@ from mbsrun.ocp.problem.problem import Constraint, Control, Delay, Force, Proble
 
 FREE: Range = (-math.inf, math.inf)
 RATE = "rate_"  # before the name of an input: the name of its rate
+RATE_OF = "rate_of_"  # where that name is taken
 INPUT = "input_"  # before the name of a coordinate: the state that is its continuous input
 
 

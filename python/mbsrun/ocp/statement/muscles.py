@@ -4,9 +4,9 @@ Each muscle whose activation is a signal gets an excitation e, a control. Its ac
 
     da/dt = ((1/2 + f)/(rise z) + (1/2 - f) z/fall)(e - a),    f = tanh((e - a)/10)/2,    z = 1/2 + 3/2 a,
 
-as in De Groote, Kinney, Rao, Fregly (2016) and OpenSim's DeGrooteFregly2016Muscle. The force s of an elastic tendon,
-over the strength, is a state. Its rate is a control that the equation of equilibrium determines at each collocation
-point.
+as in De Groote, Kinney, Rao, Fregly (2016) and OpenSim's DeGrooteFregly2016Muscle. A `sharp` law has f = 1/2 where
+e > a, else -1/2, as OpenSim's muscles of Millard and Thelen have it. The force s of an elastic tendon, over the
+strength, is a state. Its rate is a control that the equation of equilibrium determines at each collocation point.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from mbsgen.documents import Place
+from mbsgen.documents import Place, abbreviate, nearest
 from mbsgen.expressions import Expression, Name, Number, fold, is_free_name, parse, spell, substitute, write
 from mbsgen.manifest import Fibres
 from mbsrun.metabolics import EXCITATION, PRICED, RATE, name_numbers, write_rate
@@ -23,6 +23,7 @@ from mbsrun.ocp.ground.plant import Plant
 from mbsrun.ocp.problem.problem import Constraint
 from mbsrun.ocp.statement.sections import (
     ControlSection,
+    LagSection,
     MusclesSection,
     ProblemSection,
     StateSection,
@@ -32,6 +33,7 @@ from mbsrun.ocp.statement.sections import (
 _ACTIVATION = parse(
     "((0.5 + tanh((e - a)/10)/2)/(rise*(0.5 + 1.5*a)) + (0.5 - tanh((e - a)/10)/2)*(0.5 + 1.5*a)/fall)*(e - a)"
 )
+_SHARP = parse("max(e - a, 0)/(rise*(0.5 + 1.5*a)) + min(e - a, 0)*(0.5 + 1.5*a)/fall")
 _STRONGEST = 5.0  # force of a tendon over the strength
 _QUICKEST = 1000.0  # its rate [1/s]
 
@@ -43,13 +45,19 @@ class _Muscle:
     """A muscle, and the names of its numbers in the problem."""
 
     name: str  # in expressions
+    label: str  # in the model
     activation: str
     tendon: str | None  # the signal of its tendon's force
     fibres: Fibres
 
+    def find_lag(self, wanted: MusclesSection) -> LagSection | MusclesSection:
+        """Return what has its activation dynamics."""
+        return wanted.own.get(self.label, wanted)
+
     def drive(self, wanted: MusclesSection) -> str:
         """Return the name of its excitation."""
-        return self.activation if wanted.rise is None or wanted.fall is None else EXCITATION.format(self.activation)
+        lag = self.find_lag(wanted)
+        return self.activation if lag.rise is None or lag.fall is None else EXCITATION.format(self.activation)
 
 
 def add_muscles(section: ProblemSection, plant: Plant, blame: Blame) -> ProblemSection:
@@ -58,8 +66,16 @@ def add_muscles(section: ProblemSection, plant: Plant, blame: Blame) -> ProblemS
     if wanted is None:
         return section
     muscles = [*_list_muscles(plant, blame)]
-    if (wanted.rise is None) != (wanted.fall is None):
-        blame(("muscles",), "one time of activation dynamics", "give rise and fall, or neither")
+    places: list[tuple[Place, LagSection | MusclesSection]] = [(("muscles",), wanted)]
+    places += [(("muscles", "own", key), x) for key, x in wanted.own.items()]
+    for place, lag in places:
+        if (lag.rise is None) != (lag.fall is None):
+            blame(place, "one time of activation dynamics", "give rise and fall, or neither")
+    labels = [x.label for x in muscles]
+    for key in [x for x in wanted.own if x not in labels]:
+        meant = nearest(key, labels)
+        remedy = f"did you mean {abbreviate(meant)}?" if meant else "name a muscle of the model"
+        blame(("muscles", "own", key), f"there is no muscle {abbreviate(key)}", remedy)
     elastic = [x for x in muscles if x.tendon is not None]
     course = section.inputs if isinstance(section.inputs, str) else section.inputs.course
     if elastic and course != "polynomial":
@@ -107,10 +123,13 @@ def _price(muscle: _Muscle, wanted: MusclesSection) -> TermSection:
 
 def _follow(muscle: _Muscle, wanted: MusclesSection) -> StateSection:
     """Make the state of an activation."""
-    assert wanted.rise is not None, "the activation follows"
-    assert wanted.fall is not None, "the activation follows"
-    own = {"a": Name(muscle.activation), "e": Name(muscle.drive(wanted)), "rise": wanted.rise, "fall": wanted.fall}
-    return _state(write(substitute(_ACTIVATION, own)), wanted.start, wanted.excitation, wanted.guess)
+    lag = muscle.find_lag(wanted)
+    assert lag.rise is not None, "the activation follows"
+    assert lag.fall is not None, "the activation follows"
+    own = {"a": Name(muscle.activation), "e": Name(muscle.drive(wanted)), "rise": lag.rise, "fall": lag.fall}
+    return _state(
+        write(substitute(_SHARP if lag.sharp else _ACTIVATION, own)), wanted.start, wanted.excitation, wanted.guess
+    )
 
 
 def _state(rate: str, start: Any, bounds: Any, guess: Any) -> StateSection:
@@ -153,4 +172,4 @@ def _list_muscles(plant: Plant, blame: Blame) -> Iterator[_Muscle]:
             finding = f"the activation of {element.name} is no signal" if name else f"{element.name} has no name here"
             blame(("muscles",), finding, "give states and controls of all muscles yourself")
             continue
-        yield _Muscle(name, activation.name, None if tendon is None else tendon.name, fibres)
+        yield _Muscle(name, element.name, activation.name, None if tendon is None else tendon.name, fibres)

@@ -21,7 +21,7 @@ from mbsrun.ocp.ground.plant import Plant
 from mbsrun.ocp.methods import METHODS, choose
 from mbsrun.ocp.problem.phases import Impact, Link, Map, Phase, PhasedProblem, Plants
 from mbsrun.ocp.problem.problem import Contact, Loops, Problem
-from mbsrun.ocp.problem.rewriting import RATE
+from mbsrun.ocp.problem.rewriting import RATE, RATE_OF
 from mbsrun.ocp.statement.checks import Line, ProblemError, check_problem
 from mbsrun.ocp.transcription.delays import Half, Shift, find_misfits, find_shifts
 from mbsrun.ocp.transcription.impacts import AXES, find_axes, find_wrench
@@ -280,7 +280,9 @@ class _Link:
 
 def _place_history(shift: Shift) -> Place:
     """Return the place of a history in the file of a phase."""
-    is_control = shift.kind == "control" or (shift.kind == "state" and shift.rate == RATE + shift.name)
+    is_control = shift.kind == "control" or (
+        shift.kind == "state" and shift.rate in (RATE + shift.name, RATE_OF + shift.name)
+    )
     return ("controls", shift.name, "history") if is_control else ("inputs", "history")
 
 

@@ -13,7 +13,17 @@ from mbsgen.documents import Place, abbreviate
 from mbsgen.expressions import Expression, is_free_name, spell
 from mbsrun.ocp.problem.kinks import bound_kinks
 from mbsrun.ocp.problem.problem import Constraint, Course, Delay, Form, Problem, Range
-from mbsrun.ocp.problem.rewriting import INPUT, RATE, Lifted, Price, lift_controls, lift_inputs, price_largest, soften
+from mbsrun.ocp.problem.rewriting import (
+    INPUT,
+    RATE,
+    RATE_OF,
+    Lifted,
+    Price,
+    lift_controls,
+    lift_inputs,
+    price_largest,
+    soften,
+)
 from mbsrun.ocp.statement.parts import FREE, PartReading
 from mbsrun.ocp.statement.sections import ControlSection, InputsSection, ProblemSection, SoftSection
 from mbsrun.ocp.transcription.quantities import Quantity
@@ -42,8 +52,12 @@ class Rewriting:
         for i in self.lifted_inputs:
             reading.add_name(("inputs",), self.states[i], "the continuous input", Quantity("states", 0))
             reading.add_name(("inputs",), RATE + self.texts[i], "the rate of an input", Quantity("controls", 0))
-        for name in self.lifted_controls:
-            reading.add_name(("controls", name), RATE + name, "the rate of a control", Quantity("controls", 0))
+        # the rate of a force element may have the first name, as where the activation of a muscle is a control
+        self.rates = {
+            name: (RATE if RATE + name not in reading.quantities else RATE_OF) + name for name in self.lifted_controls
+        }
+        for name, rate in self.rates.items():
+            reading.add_name(("controls", name), rate, "the rate of a control", Quantity("controls", 0))
 
     @property
     def course(self) -> Course:
@@ -152,7 +166,7 @@ class Rewriting:
             left = tuple((name, weight) for name, weight in cost.control_rates if name not in self.lifted_controls)
             problem = lift_controls(
                 replace(problem, cost=replace(cost, control_rates=left)),
-                [Lifted(name, RATE + name, rates[name], weights.get(name, 0.0)) for name in self.lifted_controls],
+                [Lifted(name, self.rates[name], rates[name], weights.get(name, 0.0)) for name in self.lifted_controls],
             )
         if self.lifted_inputs:
             ranges = problem.bounds.rates or (FREE,) * len(self.inputs)

@@ -459,12 +459,22 @@ class MetabolicsSection(Section):
         return Metabolism(**{x.name: getattr(self, x.name) for x in fields(Metabolism)})
 
 
+class LagSection(Section):
+    """The activation dynamics of one muscle."""
+
+    rise: NumberField | None = Field(default=None, examples=[0.01])  # s; without, its activation is its excitation
+    fall: NumberField | None = Field(default=None, examples=[0.04])
+    sharp: bool = Field(default=False, examples=[True])
+
+
 class MusclesSection(Section):
     """Excitations of all muscles of the model, as controls."""
 
     excitation: RangeField = Field(default=(Number(0.01), Number(1.0)), examples=[[0.01, 1.0]])
     rise: NumberField | None = Field(default=None, examples=[0.015])  # of activations, s; without, they are excitations
     fall: NumberField | None = Field(default=None, examples=[0.06])
+    sharp: bool = Field(default=False, examples=[True])  # rise and fall change where an activation is its excitation
+    own: dict[str, LagSection] = Field(default={}, examples=[{}])  # in place of the three numbers above, by muscle
     effort: NumberField = Field(default=Number(1.0), examples=[1.0])  # weight of the squares of excitations
     metabolics: MetabolicsSection | None = Field(default=None, examples=[None])
     start: EndField = Field(default=None, examples=[0.05])  # of activations
