@@ -294,7 +294,7 @@ def write_tables(folder: Path) -> None:
 
 
 def solve_alone(file: Path) -> float:
-    """Solve a study in a process of its own, since the time constants of one are those of all that follow."""
+    """Solve a study in a new process, since OpenSim keeps the time constants of the first one for all that follow."""
     text = f"import opensim as o; o.Logger.setLevelString('off'); s = o.MocoStudy({str(file)!r}).solve(); "
     text += "print(); print(repr(s.getObjective()) if s.success() else 'unsolved')"
     run = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True, check=True)
