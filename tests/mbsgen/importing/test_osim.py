@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 import json
+import re
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,7 @@ from mbsgen.assembly import assemble
 from mbsgen.errors import InputError
 from mbsgen.expressions import FLOATS, Number, evaluate
 from mbsgen.importing import Choices, Imported, import_model, write_imported
-from mbsgen.importing.osim.functions import write_polygon, write_spline
+from mbsgen.importing.osim.functions import write_natural, write_polygon, write_spline
 from mbsgen.model.changes.reduction import build_tree
 from mbsgen.model.model import Fixed, Joint
 from mbsgen.model.reader import read_model
@@ -411,6 +412,33 @@ def write_reference() -> None:
             _, case, drawn = prepare(Path(folder), name)
             found[name] = ask_opensim(case.file, list_states(case, drawn))
     REFERENCE.write_text(json.dumps(found) + "\n", "utf-8")
+
+
+def test_a_gcv_spline_is_the_natural_spline_through_its_points(tmp_path: Path) -> None:
+    """OpenSim 4.6's values, also beyond the ends, where the degree is the half order less 1."""
+    x, y = np.array([-1, -0.6, -0.1, 0.3, 0.8, 1.2, 1.5]), np.array([0.1, 0.4, -0.2, 0.3, 0.25, 0.5, 0.1])
+    places = (-1.3, -0.8, 0.55, 1.4, 1.7)
+    wanted = {
+        2: (-0.32768430864100606, 0.3513421543205034, 0.3074935406329096, 0.28000245601098034, -0.2716721926913715),
+        3: (-1.3379066527934738, 0.46873090581620785, 0.3217608954688668, 0.33575615176662577, -0.691704600760586),
+    }
+    for order, values in wanted.items():
+        curve = write_natural(x, y, order)
+        found = [evaluate(curve, {"x": place}, FLOATS) for place in places]
+        np.testing.assert_allclose(found, values, rtol=1e-12)
+    simm = "<SimmSpline>"
+    numbers = "<half_order>2</half_order><error_variance>0</error_variance>"
+    text = write_model(LEG)
+    assert simm in text
+    text = text.replace(simm, f"<GCVSpline>{numbers}").replace("</SimmSpline>", "</GCVSpline>")
+    import_model(save(tmp_path, text))
+    for old, new, finding in (
+        ("<half_order>2", "<half_order>7", "half_order is 7; give 1, 2, 3 or 4"),
+        ("<error_variance>0", "<error_variance>0.1", "error_variance is 0.1; give 0: a curve through the points"),
+        ("<half_order>2", "<half_order>4", "points; give 8 at least"),
+    ):
+        with pytest.raises(InputError, match=re.escape(finding)):
+            import_model(save(tmp_path, text.replace(old, new)))
 
 
 if __name__ == "__main__":

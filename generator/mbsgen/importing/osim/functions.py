@@ -1,7 +1,8 @@
 """Functions of OpenSim -> sums over coordinates, each term linear or an expression in one coordinate.
 
 A SimmSpline is a cubic spline; its third derivative at an end is the one of the cubic through the four points there.
-Beyond its ends it is linear. An expression has its cubic in the middle, and a power of max(x - knot, 0) or
+Beyond its ends it is linear. A GCVSpline without error variance is the natural spline of its degree. An
+expression has its cubic in the middle, and a power of max(x - knot, 0) or
 max(knot - x, 0) for the jump of a derivative at each other knot, so it is the same function for all x.
 
 Source: OpenSim's documentation of its classes of functions; Forsythe, Malcolm, Moler, Computer Methods for Mathematical
@@ -16,6 +17,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from mpmath import mp, mpf
 
 from mbsgen.documents import abbreviate
 from mbsgen.expressions import (
@@ -37,11 +39,13 @@ from mbsgen.importing.markup import Element
 from mbsgen.importing.poses import Array
 
 MAX_KNOTS = 100
+_DIGITS = 120  # of a system of powers, which loses many
 READ = ("Constant", "LinearFunction", "MultiplierFunction", "PiecewiseLinearFunction", "PolynomialFunction")
 SPLINES = ("SimmSpline", "NaturalCubicSpline", "natCubicSpline")  # the last ones are older names of the first
 _FORMULA = ("sqrt", "exp", "log", "sin", "cos", "tan", "asin", "acos", "atan", "tanh", "abs", "min", "max")
 _CALLS = re.compile(r"([A-Za-z_]\w*)\(")  # of OpenSim's expressions that mean the same here
-FUNCTIONS = (*READ, *SPLINES, "Sine")
+GCV_SPLINE = "GCVSpline"
+FUNCTIONS = (*READ, *SPLINES, GCV_SPLINE, "Sine")
 
 
 @dataclass(frozen=True)
@@ -150,6 +154,7 @@ class _Function:
             "PiecewiseLinearFunction": lambda: self._read_points(write_polygon),
             "PolynomialFunction": self._read_polynomial,
             "Sine": self._read_sine,
+            GCV_SPLINE: self._read_natural,
             **dict.fromkeys(SPLINES, lambda: self._read_points(write_spline)),
         }
         tag = self.element.tag
@@ -222,6 +227,21 @@ class _Function:
         if len(set(steps)) == 1:
             return Sum(float(y[0] - steps[0] * x[0]), {name: float(steps[0])})
         return Sum(curves=((name, draw(x, y)),))
+
+    def _read_natural(self) -> Sum:
+        """Read a GCVSpline through its points."""
+        order, variance = self._number("half_order", 3.0), self._number("error_variance", 0.0)
+        if order not in range(1, 5):
+            self.findings.fault(self.element, f"half_order is {order:g}", "give 1, 2, 3 or 4")
+            return Sum()
+        if variance != 0:
+            self.findings.fault(self.element, f"error_variance is {variance:g}", "give 0: a curve through the points")
+            return Sum()
+        points = len(self._list("x"))
+        if points < 2 * order:
+            self.findings.fault(self.element, f"{points} points", f"give {2 * order:g} at least")
+            return Sum()
+        return self._read_points(lambda x, y: write_natural(x, y, int(order)))
 
     def _find_only(self) -> str | None:
         if len(self.coordinates) == 1:
@@ -298,6 +318,32 @@ def write_spline(x: Array, y: Array) -> Expression:
     terms += [(-d[-1], f"{end}**3"), (-c[-1], f"{end}**2")]
     terms += [(d[k] - d[k - 1], f"{_before(x[k])}**3") for k in range(1, m + 1)]
     terms += [(d[0], f"{start}**3"), (-c[0], f"{start}**2")]
+    return parse_sum(terms)
+
+
+def write_natural(x: Array, y: Array, order: int) -> Expression:
+    """Write a natural spline of degree 2 order - 1; beyond its ends it is a polynomial of degree order - 1."""
+    n, degree, middle = len(x), 2 * order - 1, len(x) // 2
+    with mp.workdps(_DIGITS):
+        knots, values = ([mpf(float(v)) for v in row] for row in (x, y))
+        shifted = [k - knots[middle] for k in knots]
+        A, right = mp.zeros(n + order), mp.zeros(n + order, 1)
+        for i, place in enumerate(shifted):  # a polynomial, and jumps of the last derivative, whose moments vanish
+            right[i] = values[i]
+            for k in range(order):
+                A[i, k] = A[n + k, order + i] = place**k
+            for k, knot in enumerate(shifted):
+                A[i, order + k] = max(place - knot, 0) ** degree
+        found = mp.lu_solve(A, right)
+        smooth, jumps = [found[k] for k in range(order)], [found[order + k] for k in range(n)]
+        powers = smooth + [mpf(0)] * (degree + 1 - order)
+        for jump, knot in zip(jumps[: middle + 1], shifted, strict=False):  # (h - knot)^degree about the middle
+            for k in range(degree + 1):
+                powers[k] += jump * mp.binomial(degree, k) * (-knot) ** (degree - k)
+        terms = [(float(powers[0]), "")]
+        terms += [(float(powers[k]), f"{_shift(x[middle])}**{k}") for k in range(1, degree + 1)]
+        ends = [_before(x[k]) if k <= middle else _beyond(x[k]) for k in range(n)]
+        terms += [(float(jump), f"{end}**{degree}") for jump, end in zip(jumps, ends, strict=True)]
     return parse_sum(terms)
 
 

@@ -89,7 +89,8 @@ PLACES: dict[str, Place] = {
     "functions": place(read=f"@name {_FUNCTIONS}"),
     "function": place(
         read="@name coefficients=value value=value x=value y=value scale=value amplitude=value omega=value phase=value "
-        f"offset=value function=functions {_FUNCTIONS}",
+        f"offset=value half_order=value error_variance=value function=functions {_FUNCTIONS}",
+        idle="weights",
     ),
     "constraints": place(read="@name objects=constraints_in", idle="groups"),
     "constraints_in": place(
