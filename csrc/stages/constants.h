@@ -24,7 +24,8 @@
 #define MBS_STAGES_FALL 0.1f       /* that both fall by, when a solution is polished, */
 #define MBS_STAGES_LITTLE 1e-6f    /* but the barrier no farther than here, */
 #define MBS_STAGES_WORTH 1e-4f     /* or than the square of the tolerance over this */
-#define MBS_STAGES_SIZABLE 0.1f    /* share of the cost that a solution decides at least: see `is_decided` of finish.c */
+#define MBS_STAGES_SIZABLE 0.1f    /* share of the cost that a solution decides at least: see `is_decided` of finish.c, */
+#define MBS_STAGES_DECIDED 0.1f    /* and that a solve goes on for */
 #define MBS_STAGES_FINEST 1e-5f    /* tolerance that a solve may go on with */
 #define MBS_STAGES_APART 6.4e-6f   /* how far a bound is moved from a variable that reached it */
 #else
@@ -46,6 +47,7 @@
 #define MBS_STAGES_WORTH 1e-4
 #define MBS_STAGES_FALL 1e-3
 #define MBS_STAGES_SIZABLE 1e-4
+#define MBS_STAGES_DECIDED 1e-6
 #define MBS_STAGES_FINEST 1e-12
 #define MBS_STAGES_APART 1.8189894035458565e-12
 #endif
@@ -99,7 +101,11 @@
 #define MOST_RESETS 5                 /* which it does as often */
 
 /* ends */
-#define SHARPER ((real)1e-4)          /* of the tolerance: what a solve goes on with */
+#define SHARPER ((real)1e-4)          /* of the tolerance: what a solve goes on with, */
+#define FAR_BELOW ((real)1e-2)        /* until small changes lower the cost by this part of its undecided share */
+#define ROUNDED ((real)1e-4)          /* of the acceptable tolerance: rows that may be rounding alone, */
+#define MOST_ROUNDED 3                /* at as many iterates in a row, */
+#define ROUNDED_GAIN ((real)0.1)      /* of which none lowers them to this part */
 #define LEAST_FROM ((real)1e-2)       /* barrier parameters that a least violation is believed at, */
 #define LEAST_BEYOND ((real)1000)     /* and how much larger than the parameter it must be */
 #define MOST_FORGIVEN ((real)100)     /* that errors are scaled by: multipliers that diverge are no solution */

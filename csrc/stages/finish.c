@@ -21,6 +21,17 @@ static int is_acceptable(mbs_stages *s, mbs_stages_phase *p, const mbs_stages_er
     return s->options.acceptable_iter > 0 && p->acceptable >= s->options.acceptable_iter;
 }
 
+/* Whether rows alone are above a small tolerance, by amounts that steps lower no more: they are rounding. */
+static int is_rounded(mbs_stages *s, mbs_stages_phase *p, const mbs_stages_errors *e)
+{
+    const real worst = mbs_stages_largest(s->rows, p->c);
+    const int close = !p->elastic && e->dual <= s->options.tol && worst <= ROUNDED * s->options.acceptable_tol;
+    const int falls = !p->rounding || worst < ROUNDED_GAIN * p->rounded;
+    p->rounding = close ? (falls ? 1 : p->rounding + 1) : 0;
+    p->rounded = falls ? worst : p->rounded;
+    return p->rounding >= MOST_ROUNDED;
+}
+
 /* Whether restoration is at a least violation. Elastic variables keep some mu / penalty by themselves; a violation far
  * beyond that stays, however small mu becomes, and a smaller mu would only cost digits. */
 static int is_least(mbs_stages *s, mbs_stages_phase *p)
@@ -59,21 +70,35 @@ static real find_leeway(const mbs_stages *s, const mbs_stages_phase *p)
     return sum;
 }
 
-/* The part of the cost that a solution decides. A loose tolerance asks for less. */
+/* The part of the cost that a solution decides at least. A loose tolerance asks for less. */
 static real sizable(const mbs_stages *s)
 {
     return mbs_stages_is_loose(s) ? mbs_stages_larger(real_sqrt(s->options.tol), MBS_STAGES_SIZABLE) : MBS_STAGES_SIZABLE;
 }
 
+/* The part that a solve goes on for: in a loop, the next sample comes soon. */
+static real worthwhile(const mbs_stages *s)
+{
+    return mbs_stages_continues(s) ? MBS_STAGES_SIZABLE : MBS_STAGES_DECIDED;
+}
+
 /* Whether the cost is known to a part of it, or is 0: to a tolerance, or to the amount that bounds give. A requested barrier
  * decides it, too. After a warm start the part is of the largest cost of the solves that followed each other: a controller
  * that has come to its target has little left to gain. */
-static int is_decided(const mbs_stages *s, const mbs_stages_phase *p, real tolerance)
+static int is_decided(const mbs_stages *s, const mbs_stages_phase *p, real tolerance, real part)
 {
     const real cost = real_abs(p->cost);
     if (p->elastic || mbs_stages_least_barrier(s) > 0 || cost <= tolerance * s->cost_scale || cost <= find_leeway(s, p))
         return 1;
-    return find_decrease(s, p) <= sizable(s) * mbs_stages_larger(cost, s->cost_before);
+    return find_decrease(s, p) <= part * mbs_stages_larger(cost, s->cost_before);
+}
+
+/* Whether a solve that goes on has come far enough: what small changes lower the cost by is far below what it decides. */
+static int is_far_enough(const mbs_stages *s, const mbs_stages_phase *p, const mbs_stages_errors *e)
+{
+    const real cost = mbs_stages_larger(real_abs(p->cost), s->cost_before);
+    return s->is_sharper && !p->elastic && mbs_stages_is_solved(s, e, s->asked) &&
+           find_decrease(s, p) <= FAR_BELOW * worthwhile(s) * cost;
 }
 
 /* Go on with a smaller tolerance where small changes may lower the cost by a sizable part of it; returns whether. A loose
@@ -81,8 +106,9 @@ static int is_decided(const mbs_stages *s, const mbs_stages_phase *p, real toler
 static int goes_on(mbs_stages *s, const mbs_stages_phase *p)
 {
     const real finer = mbs_stages_larger(SHARPER * s->options.tol, MBS_STAGES_FINEST);
-    if (s->is_sharper || mbs_stages_is_loose(s) || !(finer < s->options.tol) || is_decided(s, p, finer))
+    if (s->is_sharper || mbs_stages_is_loose(s) || !(finer < s->options.tol) || is_decided(s, p, finer, worthwhile(s)))
         return 0;
+    s->asked = s->options.tol;
     s->options.tol = finer;
     s->is_sharper = 1;
     return 1;
@@ -94,6 +120,8 @@ int mbs_stages_check(mbs_stages *s, mbs_stages_phase *p, const mbs_stages_errors
     if (is_least(s, p))
         return MBS_STAGES_SOLVED;
     if (mbs_stages_is_solved(s, e, s->options.tol) && !goes_on(s, p))
+        return MBS_STAGES_SOLVED;
+    if (is_far_enough(s, p, e) || is_rounded(s, p, e))
         return MBS_STAGES_SOLVED;
     if (is_acceptable(s, p, e))
         return MBS_STAGES_ACCEPTABLE;
@@ -112,7 +140,7 @@ int mbs_stages_settle(mbs_stages *s, mbs_stages_phase *p, int status)
 {
     mbs_stages_errors e;
     if (status == MBS_STAGES_SOLVED)
-        return is_decided(s, p, s->options.tol) ? MBS_STAGES_SOLVED : MBS_STAGES_ACCEPTABLE;
+        return is_decided(s, p, s->options.tol, sizable(s)) ? MBS_STAGES_SOLVED : MBS_STAGES_ACCEPTABLE;
     if (!(status == MBS_STAGES_OUT_OF_DIGITS || s->is_sharper) || p->elastic || mbs_stages_phase_derivatives(s, p))
         return status;
     mbs_stages_find_lagrangian(s, p);

@@ -10,7 +10,7 @@ void mbs_stages_begin(mbs_stages *s, mbs_stages_phase *p)
     p->theta_most = s->options.theta_max_fact * size;
     p->theta_least = s->options.theta_min_fact * size;
     p->tau = mbs_stages_larger(1 - p->mu, s->options.tau_min);
-    p->tiny = p->tiny_before = p->rejected = p->resets = p->acceptable = p->failing = 0;
+    p->tiny = p->tiny_before = p->rejected = p->resets = p->acceptable = p->rounding = p->failing = 0;
     p->shortened = p->cautious = p->cut = 0;
     p->regular = p->added = p->restraint = p->alpha = 0;
     mbs_stages_search_anew(p);

@@ -241,8 +241,8 @@ mbs_stages_errors mbs_stages_measure_errors(mbs_stages *s, mbs_stages_phase *p, 
         const real c = unscale_residual(p->c[i], s->row_scale[i]);
         e.violation = c > e.violation ? c : e.violation;
     }
-    e.scaled = dual > e.scaled ? dual : e.scaled;
-    e.scaled = slack > e.scaled ? slack : e.scaled;
+    e.dual = dual > slack ? dual : slack;
+    e.scaled = e.dual > e.scaled ? e.dual : e.scaled;
     return e;
 }
 

@@ -72,15 +72,18 @@ typedef struct {
     int failing;              /* the last trial had no result */
     real alpha;               /* the last step length */
     int acceptable;           /* iterations in a row */
+    int rounding;             /* iterations in a row that rows alone are above the tolerance, */
+    real rounded;             /* by this much at first */
     mbs_stages_filter filter;
     mbs_stages_direction step, other;
     mbs_stages_watchdog watchdog; /* of the caller's problem alone */
     int soft;                     /* steps in a row that were accepted because they lower the errors alone */
 } mbs_stages_phase;
 
-/* Largest errors of the optimality conditions. */
+/* Largest errors of the optimality conditions. `scaled` is the largest, of stationarity and complementarity over the size
+ * of multipliers, which is `dual`, and of scaled rows. */
 typedef struct {
-    real stationarity, violation, complementarity, scaled;
+    real stationarity, violation, complementarity, scaled, dual;
 } mbs_stages_errors;
 
 /* Whether hard rows are softened in factorisations: not yet, now, or no more. */
@@ -114,6 +117,7 @@ struct mbs_stages {
     int exact;      /* factorisations take rows that hardly give as exact */
     int unhelped;   /* steps without digits either way */
     int is_sharper; /* the solve goes on with a smaller tolerance */
+    real asked;     /* the tolerance before, then */
     real cost_before; /* after a warm start: the largest scaled cost of the solves that followed each other, else 0 */
     double began;
     int failed_stage;

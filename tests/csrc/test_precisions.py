@@ -13,7 +13,7 @@ from tests.mbsgen.targets.programs import run
 
 CSRC = resources.folder("csrc")
 # Numbers of any precision.
-SHARED = ("cone", "explicit", "least", "many", "radau", "rollout", "stepping", "variational")
+SHARED = ("cone", "explicit", "least", "many", "radau", "rollout", "solids", "stepping", "variational")
 
 
 def list_symbols(out: Path, sources: Sequence[Path], *flags: str) -> set[str]:

@@ -82,7 +82,7 @@ static void anew(mbs_stages *s, mbs_stages_phase *p)
 static mbs_stages_errors errors(real scaled, real violation, real complementarity)
 {
     mbs_stages_errors e;
-    e.scaled = scaled, e.violation = violation, e.complementarity = complementarity, e.stationarity = 0;
+    e.scaled = e.dual = scaled, e.violation = violation, e.complementarity = complementarity, e.stationarity = 0;
     return e;
 }
 
@@ -193,30 +193,37 @@ static void deciding(void)
     solver.fixed = fixed;
     phase.size = 1, phase.lower = lower, phase.upper = upper, phase.zl = zl, phase.zu = zu, phase.lagrangian = slope;
     x[0] = 2, phase.cost = 3e-6;
-    LAW("a cost is known to a part of it", is_decided(&solver, &phase, 1e-12));
+    LAW("a cost is known to a part of it", is_decided(&solver, &phase, 1e-12, sizable(&solver)));
+    LAW("which may be small", !is_decided(&solver, &phase, 1e-12, 6e-5) && is_decided(&solver, &phase, 1e-12, 7e-5));
+    LAW("a solve goes on for a millionth", worthwhile(&solver) == 1e-6);
+    solver.options.warm_start_init_point = 2;
+    LAW("and so does one near a neighbour", worthwhile(&solver) == 1e-6);
+    solver.options.warm_start_init_point = 1;
+    LAW("a sample of a loop does less", worthwhile(&solver) == 1e-4 && sizable(&solver) == 1e-4);
+    solver.options.warm_start_init_point = 0;
     phase.cost = 1e-6;
-    LAW("or is not", !is_decided(&solver, &phase, 1e-12));
+    LAW("or is not", !is_decided(&solver, &phase, 1e-12, sizable(&solver)));
     x[0] = 0.5;
-    LAW("no way is longer than to the bound", is_decided(&solver, &phase, 1e-12));
+    LAW("no way is longer than to the bound", is_decided(&solver, &phase, 1e-12, sizable(&solver)));
     x[0] = 2;
-    LAW("0 to a tolerance is known", is_decided(&solver, &phase, 1e-6));
+    LAW("0 to a tolerance is known", is_decided(&solver, &phase, 1e-6, sizable(&solver)));
     zl[0] = 2, solver.giving = 0.4e-6;
-    LAW("one above what bounds give is not", !is_decided(&solver, &phase, 1e-12));
+    LAW("one above what bounds give is not", !is_decided(&solver, &phase, 1e-12, sizable(&solver)));
     zu[0] = 0.1; /* its bound is of size 4 */
     phase.cost = -0.95e-6;
-    LAW("one below is 0", is_decided(&solver, &phase, 1e-12));
+    LAW("one below is 0", is_decided(&solver, &phase, 1e-12, sizable(&solver)));
     zl[0] = zu[0] = 0, phase.cost = 1e-6, solver.cost_before = 1.9e-6;
-    LAW("costs before a warm start count", !is_decided(&solver, &phase, 1e-12));
+    LAW("costs before a warm start count", !is_decided(&solver, &phase, 1e-12, sizable(&solver)));
     solver.cost_before = 2.1e-6;
-    LAW("if they are larger", is_decided(&solver, &phase, 1e-12));
+    LAW("if they are larger", is_decided(&solver, &phase, 1e-12, sizable(&solver)));
     phase.cost = 2.1e-6, solver.cost_before = 1e-6;
-    LAW("else the own one does", is_decided(&solver, &phase, 1e-12));
+    LAW("else the own one does", is_decided(&solver, &phase, 1e-12, sizable(&solver)));
     solver.cost_before = 0, phase.cost = 0.99e-7, solver.options.tol = 4e-6;
-    LAW("a loose tolerance asks for its root of the cost alone", !is_decided(&solver, &phase, 1e-12));
+    LAW("a loose tolerance asks for its root of the cost alone", !is_decided(&solver, &phase, 1e-12, sizable(&solver)));
     phase.cost = 1.01e-7;
-    LAW("which may be enough", is_decided(&solver, &phase, 1e-12));
+    LAW("which may be enough", is_decided(&solver, &phase, 1e-12, sizable(&solver)));
     fixed[0] = 1, slope[0] = 1;
-    LAW("a fixed number leads nowhere", is_decided(&solver, &phase, 1e-12));
+    LAW("a fixed number leads nowhere", is_decided(&solver, &phase, 1e-12, sizable(&solver)));
 }
 
 /* A cost that is not decided at a solution. */
@@ -238,9 +245,68 @@ static void going_on(void)
     LAW("unless the cost is 0 to it", mbs_stages_settle(&solver, &phase, MBS_STAGES_SOLVED) == MBS_STAGES_SOLVED);
 }
 
+/* Small changes lower the cost, 1e-4, by a slope times 2. */
+static void far_enough(void)
+{
+    real lower[1] = {0}, upper[1] = {4}, zl[1] = {0}, zu[1] = {0}, slope[1] = {1e-8};
+    char fixed[1] = {0};
+    const mbs_stages_errors solved = errors(1e-9, 0, 0);
+    anew(&solver, &phase);
+    solver.fixed = fixed;
+    phase.size = 1, phase.lower = lower, phase.upper = upper, phase.zl = zl, phase.zu = zu, phase.lagrangian = slope;
+    x[0] = 2, phase.cost = 1e-4;
+    slope[0] = 4.9e-13;
+    LAW("nothing goes on where the cost is decided", check(solved) == MBS_STAGES_SOLVED && !solver.is_sharper);
+    slope[0] = 1e-8;
+    LAW("a solve goes on", check(solved) == MBS_STAGES_RUNNING && solver.is_sharper && solver.asked == 1e-8);
+    slope[0] = 5.1e-13;
+    LAW("until the cost may fall by a hundredth of what it decides", check(solved) == MBS_STAGES_RUNNING);
+    slope[0] = 4.9e-13;
+    LAW("and no farther", check(solved) == MBS_STAGES_SOLVED);
+    LAW("where the conditions hold as was asked", check(errors(1.01e-8, 0, 0)) == MBS_STAGES_RUNNING);
+    phase.elastic = 1;
+    LAW("restoration has its own end", check(solved) == MBS_STAGES_RUNNING);
+    phase.elastic = 0, slope[0] = 9e-13, solver.cost_before = 2e-4;
+    LAW("a controller's cost is its largest", check(solved) == MBS_STAGES_SOLVED);
+}
+
+/* Rows that rounding keeps above the tolerance. */
+static void rounding(void)
+{
+    const mbs_stages_errors rows = errors(1e-13, 5e-12, 0);
+    mbs_stages_errors e = rows;
+    int i;
+    anew(&solver, &phase);
+    solver.options.tol = 1e-12, e.scaled = 5e-12, c[1] = -5e-12;
+    LAW("rows that stay are looked at twice more", check(e) == MBS_STAGES_RUNNING && check(e) == MBS_STAGES_RUNNING);
+    LAW("and are rounding then", check(e) == MBS_STAGES_SOLVED);
+    anew(&solver, &phase);
+    solver.options.tol = 1e-12, c[1] = 5e-12;
+    LAW("others", check(e) == MBS_STAGES_RUNNING && check(e) == MBS_STAGES_RUNNING);
+    e.scaled = 4.9e-13 + 1e-12, c[1] = 4.9e-13;
+    LAW("that fall", check(e) == MBS_STAGES_RUNNING && check(e) == MBS_STAGES_RUNNING);
+    LAW("count anew", check(e) == MBS_STAGES_SOLVED);
+    anew(&solver, &phase);
+    solver.options.tol = 1e-12, c[1] = 1.01e-10, e.scaled = 1.01e-10;
+    for (i = 0; i < 5; ++i)
+        LAW("large rows are no rounding", check(e) == MBS_STAGES_RUNNING);
+    c[1] = 0.99e-10, e.dual = 1.01e-12;
+    for (i = 0; i < 5; ++i)
+        LAW("nor do they excuse slopes", check(e) == MBS_STAGES_RUNNING);
+    e.dual = 1e-12, phase.elastic = 1, given.worst = 0, phase.acceptable = 0;
+    for (i = 0; i < 5; ++i)
+        LAW("nor end a restoration", check(e) == MBS_STAGES_RUNNING);
+    phase.elastic = 0;
+    LAW("one that is above", check(e) == MBS_STAGES_RUNNING && check(e) == MBS_STAGES_RUNNING);
+    e.dual = 1;
+    LAW("in between", check(e) == MBS_STAGES_RUNNING);
+    e.dual = 0;
+    LAW("begins anew", check(e) == MBS_STAGES_RUNNING && check(e) == MBS_STAGES_RUNNING && check(e) == MBS_STAGES_SOLVED);
+}
+
 static void reporting(void)
 {
-    const mbs_stages_errors e = {3, 4, 5, 6};
+    const mbs_stages_errors e = {3, 4, 5, 6, 7};
     int i, j;
     anew(&solver, &phase);
     solver.result.iterations = 7, phase.elastic = 1, phase.cost = 8, c[1] = -9, phase.mu = 10, phase.alpha = 11;
@@ -263,6 +329,8 @@ int main(void)
     settling();
     deciding();
     going_on();
+    far_enough();
+    rounding();
     reporting();
     return broken > 0;
 }

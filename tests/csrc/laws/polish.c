@@ -62,7 +62,7 @@ real mbs_stages_dual_boundary(const mbs_stages *s, const mbs_stages_phase *p, co
 
 mbs_stages_errors mbs_stages_measure_errors(mbs_stages *s, mbs_stages_phase *p, real mu)
 {
-    mbs_stages_errors e = {0, 0, 0, 0};
+    mbs_stages_errors e = {0, 0, 0, 0, 0};
     (void)s, (void)mu;
     e.scaled = given.listed ? *given.listed++ : real_abs(p->x[0] - (given.part > 0 ? given.part * p->lower[0] : given.solution));
     return e;

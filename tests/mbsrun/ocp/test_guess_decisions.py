@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,12 +11,15 @@ import pytest
 from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 
+from mbsrun import load
 from mbsrun.ocp.ground import schemes
 from mbsrun.ocp.ground.schemes import Family
+from mbsrun.ocp.ground.trajectory import Trajectory
 from mbsrun.ocp.guessing import state_guess
 from mbsrun.ocp.guessing.guess import Pose, balance, bump, find_inputs, interpolate, rest
 from mbsrun.ocp.guessing.state_guess import _choose_ends, _find_start, _guess, _interpolate, _spread, complete
 from mbsrun.ocp.problem.problem import Bounds, GuessOptions, Problem, State
+from mbsrun.ocp.statement.statement import read_problem
 from tests.mbsrun.ocp.plants import FREE_RANGE, push
 from tests.mbsrun.peer import double_integrator
 
@@ -176,3 +180,22 @@ def test_values_at_points_are_read_between_them() -> None:
     values, times = np.array([[0.0, 1.0], [2.0, 1.0], [2.0, 5.0]]), np.array([0.0, 1.0, 3.0])
     for time, expected in ((0.0, [0, 1]), (0.25, [0.5, 1]), (1.0, [2, 1]), (2.0, [2, 3]), (3.0, [2, 5]), (4.0, [2, 7])):
         assert _interpolate(time, times, values)[0] == pytest.approx(expected)
+
+
+def test_inputs_of_a_guess_hold_against_given_wrenches(tmp_path: Path) -> None:
+    """A wind of 3 N/s blows a mass that is to rest: the input is against its mean over each interval's points."""
+    model, file = tmp_path / "kite.yaml", tmp_path / "kite.ocp.yaml"
+    model.write_text(
+        "name: kite\ngravity: [0, 0, 0]\n"
+        "bodies: [{name: kite, joint: {name: x, type: prismatic}, mass: 2, com: [0, 0, 0], inertia: [1, 1, 1]}]\n"
+        "wrenches: [{name: wind, body: kite, position: [0, 0, 0], frame: base, force: input}]\n"
+    )
+    file.write_text(
+        "model: kite.yaml\nhorizon: 1\nintervals: 4\ncost: {inputs: 1}\nstart: {pose: {x: 0}}\nend: {pose: {x: 0}}\n"
+        "wrenches: {wind: {force: [3*t, 0, 0]}}\n"
+    )
+    problem, plant = read_problem(file, load)
+    t, point_t = problem.grid.times(1.0, schemes.build(problem.family, problem.degree).points)
+    points, rest = np.zeros((*point_t.shape, 1)), np.zeros((5, 1))
+    motion = Trajectory(t, rest, rest, np.zeros((4, 1)), point_t, points, points, points)
+    assert balance(motion, problem, plant, "dynamic").u[:, 0] == pytest.approx(-3 * point_t.mean(axis=1))

@@ -355,7 +355,10 @@ BAD = [
         COST + "inputs: linear\nstates: {input_x: {rate: 1, start: 0}}\n",
         "10: inputs: no name for the continuous input: input_x",
     ),
-    (COST + "inputs: linear\ncontrols: {a: {}, rate_a: {}}\n", "no name for the rate of a control: rate_a"),
+    (
+        COST + "inputs: linear\ncontrols: {a: {}, rate_a: {}, rate_of_a: {}}\n",
+        "no name for the rate of a control: rate_of_a",
+    ),
     (COST + "inputs: {delay: 0.3}\n", "10: inputs: a delay of 0.3 s ends within an interval, from 0.25 to 0.5 s"),
     (COST + "inputs: {delay: 1}\n", "10: inputs: a delay of 1 s, and the horizon is 1 s; give a positive delay"),
     (COST + "inputs: {delay: 0}\n", "10: inputs.delay: found 0; give a positive number"),

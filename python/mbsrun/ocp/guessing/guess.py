@@ -23,6 +23,7 @@ from mbsrun.ocp.ground.grid import Grid
 from mbsrun.ocp.ground.plant import Plant
 from mbsrun.ocp.ground.schemes import Family, Scheme, build
 from mbsrun.ocp.ground.trajectory import NONE, Trajectory, resample
+from mbsrun.ocp.guessing.state_guess import complete
 from mbsrun.ocp.problem.contacts import list_held
 from mbsrun.ocp.problem.driving import Guide, choose_rows, follow, give_nothing
 from mbsrun.ocp.problem.given import place_unknown
@@ -283,8 +284,9 @@ def bump(trajectory: Trajectory, coordinates: Sequence[int], rng: np.random.Gene
 def balance(trajectory: Trajectory, problem: Problem, plant: Plant, inputs: Inputs) -> Trajectory:
     """Return a motion with inputs: 0, the forces that hold each pose at rest, or the inverse dynamics of the motion.
 
-    The residual of passive joints is least in the sense of least squares. The inputs of an interval are the mean over
-    its collocation points; they stay within their bounds.
+    The residual of passive joints is least in the sense of least squares. Wrenches and signals have the values that the
+    problem gives or guesses. The inputs of an interval are the mean over its collocation points; they stay within their
+    bounds.
     """
     u = np.zeros_like(trajectory.u)
     if inputs != "zero" and u.size:
@@ -294,9 +296,7 @@ def balance(trajectory: Trajectory, problem: Problem, plant: Plant, inputs: Inpu
             np.ascontiguousarray(a.reshape(N * d, -1))
             for a in (trajectory.point_q, *(rate * (inputs == "dynamic") for rate in rates))
         )
-        w = np.zeros((N * d, len(name_components(plant.manifest))))
-        for i, value in place_unknown(problem, plant.manifest).items():
-            w[:, i] = value
+        w = _find_given(replace(trajectory, u=u), problem, plant)
         held = [i for i in list_held(problem.contacts, plant.manifest) if not w[:, i].any()]
         forces = np.nan_to_num(find_inputs(plant, q, qd, qdd, w, held))
         u = forces[:, : u.shape[1]].reshape(N, d, -1).mean(axis=1)
@@ -304,6 +304,16 @@ def balance(trajectory: Trajectory, problem: Problem, plant: Plant, inputs: Inpu
             w[:, held] = forces[:, u.shape[1] :]
             trajectory = replace(trajectory, point_w=w.reshape(N, d, -1))
     return replace(trajectory, u=np.clip(u, *np.array(problem.bounds.u).reshape(-1, 2).T))
+
+
+def _find_given(motion: Trajectory, problem: Problem, plant: Plant) -> Array:
+    """Return components of open wrenches and signals at the points of a motion (B, nw), where its inputs are 0."""
+    if any(part.expression is not None for part in problem.wrenches):
+        return np.array(complete(motion, problem, plant).point_w).reshape(motion.point_t.size, -1)
+    w = np.zeros((motion.point_t.size, len(name_components(plant.manifest))))
+    for i, value in place_unknown(problem, plant.manifest).items():
+        w[:, i] = value
+    return w
 
 
 def find_inputs(
