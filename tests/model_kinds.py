@@ -17,8 +17,8 @@ CONSTRAINED: dict[str, str | None] = {
         f"--method {name}": "takes no loops or driven joints"
         for name in ("symplectic-euler", "lsoda", "radau", "bdf", "gauss", "moreau")
     },
-    "generate --acados": "moves no driven joints",
-    "generate --acados-untimed": "moves no driven joints",
+    "generate --acados": "move no driven joints",
+    "generate --acados-untimed": "move no driven joints",
     "generate --tolerance": "loops, constraints or driven joints are not estimated",
 }
 PASSIVE: dict[str, str | None] = dict.fromkeys(("solve", "controller", "track", "sweep", "study"), "nothing to control")
