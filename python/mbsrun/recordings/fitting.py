@@ -218,13 +218,13 @@ class Fitter:
         lower, upper = np.tile(self.lower, K), np.tile(self.upper, K)
         x, mu = np.clip(q.ravel(), lower, upper), DAMPING
         here = self.evaluate_all(x.reshape(K, n))
-        cost = sum(part.cost for part in here) + 0.5 * float(x @ (rough @ x))
+        cost = sum(part.cost for part in here) + _find_energy(D @ x)
         for k in range(ROUNDS_OF_ALL):
             self.iterations += K
             if report is not None:
                 report("fitting all frames", k, ROUNDS_OF_ALL)
             A = sparse.csc_array(sparse.block_diag([part.J.T @ part.J for part in here])) + rough
-            g = np.concatenate([part.J.T @ part.r for part in here]) + rough @ x
+            g = np.concatenate([part.J.T @ part.r for part in here]) + D.T @ (D @ x)
             H = sparse.csc_array(sparse.block_diag([part.H for part in here]))
             h = np.concatenate([part.h for part in here])
             scale = max(float(A.diagonal().mean()), 1e-12)
@@ -233,7 +233,7 @@ class Fitter:
             rho = 2 * float(np.abs(multipliers).max(initial=0.0)) + scale
             trial = np.clip(x + step, lower, upper)
             there = self.evaluate_all(trial.reshape(K, n))
-            found = sum(part.cost for part in there) + 0.5 * float(trial @ (rough @ trial))
+            found = sum(part.cost for part in there) + _find_energy(D @ trial)
             gain = cost - found + rho * (np.abs(h).sum() - sum(np.abs(part.h).sum() for part in there))
             is_small = float(np.abs(step).max()) <= SETTLED * (1 + float(np.abs(x).max()))
             if gain >= -ROUNDED * cost or is_small:
@@ -283,6 +283,11 @@ class Fitter:
             iterations=self.iterations,
             at_limits=_is_near(q, self.lower) | _is_near(q, self.upper),
         )
+
+
+def _find_energy(x: Array) -> float:
+    """Return half of the sum of squares: exact to rounding, as the quadratic form of large entries would not be."""
+    return 0.5 * float(x @ x)
 
 
 def _is_near(q: Array, limit: Array) -> Mask:

@@ -324,7 +324,11 @@ FAULTS: dict[str, tuple[str, str, str]] = {  # what is changed, into what, and t
     "axis": ("<axis>1 0 0.5<", "<axis>0 0 0<", "the axis is 0 0 0; give a direction"),
     "axis name": ('name="rotation2"', 'name="turn"', 'an axis called "turn"; call the axes rotation1'),
     "coefficients": ("-1 0.2<", "-1<", "1 coefficients; give 2: a slope for each coordinate, and the"),
-    "function": ("PolynomialFunction", "GCVSpline", 'a function of the kind "GCVSpline", which is not read; give'),
+    "function": (
+        "PolynomialFunction",
+        "PiecewiseConstantFunction",
+        'a function of the kind "PiecewiseConstantFunction", which is not read; give',
+    ),
     "repeated knots": ("-1.2 -0.5", "-1.2 -1.2", "x[2] = -1.2 repeats the one before it; give values of x that"),
     "falling knots": ("-1.2 -0.5", "-1.2 -1.3", "x[2] = -1.3 comes after -1.2; give values"),
     "knots and values": ("-2.1 -1.2", "-2.1", "6 values of x, and 7 of y; give as many of each"),

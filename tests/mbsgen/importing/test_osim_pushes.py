@@ -51,7 +51,12 @@ def test_actuators_have_signals_and_leave_joints_without_inputs(tmp_path: Path) 
     ("name", "old", "new", "wanted"),
     [
         ("formulas", "theta_z-theta_x", "select(theta_z)", "select() is not read: its force is left out"),
-        ("curves", "SimmSpline", "GCVSpline", "its function GCVSpline is not read: its force is left out"),
+        (
+            "curves",
+            "SimmSpline",
+            "PiecewiseConstantFunction",
+            "its function PiecewiseConstantFunction is not read: its force is left out",
+        ),
         ("points", f"{GLOBAL}true", f"{GLOBAL}false", "its place is in the ground's, and its force in the body's"),
         ("prescribed", "<forceIsGlobal>false", "<forceIsGlobal>true", "its place is in the body's frame, and"),
         ("points", "<pointA>", "<points_are_global>true</points_are_global><pointA>", "points are in the ground's"),

@@ -187,7 +187,8 @@ def test_inputs_of_a_guess_hold_against_given_wrenches(tmp_path: Path) -> None:
     model, file = tmp_path / "kite.yaml", tmp_path / "kite.ocp.yaml"
     model.write_text(
         "name: kite\ngravity: [0, 0, 0]\n"
-        "bodies: [{name: kite, joint: {name: x, type: prismatic}, mass: 2, com: [0, 0, 0], inertia: [1, 1, 1]}]\n"
+        "bodies:\n  - name: kite\n    joint: {name: x, type: prismatic, axis: x}\n"
+        "    mass: 2\n    com: [0, 0, 0]\n    inertia: [1, 1, 1]\n"
         "wrenches: [{name: wind, body: kite, position: [0, 0, 0], frame: base, force: input}]\n"
     )
     file.write_text(
