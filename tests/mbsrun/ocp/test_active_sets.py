@@ -17,8 +17,8 @@ from mbsrun.ocp.ground.program import Matrix, Program
 from mbsrun.ocp.methods import Instance
 from mbsrun.ocp.optima.movement import Movement, Numbers
 from mbsrun.ocp.optima.neighbours import move_one_sided, predict
-from mbsrun.ocp.optima.point import Optimum, find_optimum
-from mbsrun.ocp.optima.status import CHANGING, DEPENDENT, FLAT, SMOOTH
+from mbsrun.ocp.optima.point import Optimum, _Search, find_optimum
+from mbsrun.ocp.optima.status import CHANGING, DEPENDENT, FLAT, NOT_CONVERGED, SMOOTH
 from mbsrun.ocp.optima.thinning import thin
 
 Array = NDArray[np.float64]
@@ -257,6 +257,18 @@ def find_implied(task: Quadratic, share: float) -> Optimum:
     program = Program(sparse.csc_array(task.A), (none, none), ())
     start = Instance(x, task.w, task.lower, task.upper, task.least, task.most)
     return find_optimum(task, program, start, SCALE, (x, lam))
+
+
+@pytest.mark.parametrize("status", [DEPENDENT, NOT_CONVERGED])
+def test_implied_limits_are_left_out_however_the_search_fails(
+    status: str, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By rounding, dependent limits are seen to be so, or lead away."""
+    task, _ = imply(draw(rng), rng)
+    monkeypatch.setattr(_Search, "_guess", lambda *_: status)
+    found = find_implied(task, 0.3)
+    assert found.status == SMOOTH
+    assert found.x == pytest.approx(open_row(task).solve()[0], abs=1e-10)
 
 
 @pytest.mark.parametrize("share", [0.0, 0.3, 40.0])

@@ -187,13 +187,14 @@ class _Search:
             if self._read(found.x, found.multipliers, at) is not None:
                 return found
         begun = self._guess(x, lam)
+        fails = isinstance(begun, str)  # dependent limits may let it fail in either way, by rounding
         if isinstance(begun, str):
             at = self._evaluate(self.start.x)
             found = self._end(at, lam, self._touch(at), self._no_limits, begun)
             begun = at.x, lam, *self._part(at, lam)
         else:
             found = self._improve(*begun)
-        return self._leave_out(found, *begun) if found.status in (DEPENDENT, CHANGING) else found
+        return self._leave_out(found, *begun) if fails or found.status in (DEPENDENT, CHANGING) else found
 
     def _leave_out(self, found: Optimum, x: Array, lam: Array, active: Active, weak: Active) -> Optimum:
         """Search without the limits that others imply; where that fails, return what was found, and why."""
@@ -212,7 +213,8 @@ class _Search:
         again = self._improve(x, left.lam, kept.without(open_), open_, implied)
         if again.status in (SMOOTH, CHANGING):
             return replace(again, directions=left.directions)
-        return replace(found, status=FLAT) if again.factors.is_singular else found
+        is_flat = again.factors.is_singular and found.status != NOT_CONVERGED
+        return replace(found, status=FLAT) if is_flat else found
 
     def _improve(self, x: Array, lam: Array, active: Active, weak: Active, implied: Active | None = None) -> Optimum:
         """Solve the equations of an active set by Newton's method, and correct the set."""
