@@ -184,15 +184,21 @@ static void settling(void)
     LAW("and are not measured", mbs_stages_settle(&solver, &phase, MBS_STAGES_SOLVED) == MBS_STAGES_SOLVED && !given.measured);
 }
 
-/* One number between 0 and 4, its multipliers, and what its slope lets the cost fall by. */
+/* One number between 0 and 4, at 2, its multipliers, and the slope that lets the cost fall. */
+static real lower[1], upper[1], zl[1], zu[1], slope[1];
+static char fixed[1];
+
+static void place_number(real steepness, real cost)
+{
+    anew(&solver, &phase);
+    lower[0] = zl[0] = zu[0] = 0, upper[0] = 4, slope[0] = steepness, fixed[0] = 0;
+    solver.fixed = fixed, phase.size = 1, phase.lower = lower, phase.upper = upper;
+    phase.zl = zl, phase.zu = zu, phase.lagrangian = slope, x[0] = 2, phase.cost = cost;
+}
+
 static void deciding(void)
 {
-    real lower[1] = {0}, upper[1] = {4}, zl[1] = {0}, zu[1] = {0}, slope[1] = {1e-10};
-    char fixed[1] = {0};
-    anew(&solver, &phase);
-    solver.fixed = fixed;
-    phase.size = 1, phase.lower = lower, phase.upper = upper, phase.zl = zl, phase.zu = zu, phase.lagrangian = slope;
-    x[0] = 2, phase.cost = 3e-6;
+    place_number(1e-10, 3e-6);
     LAW("a cost is known to a part of it", is_decided(&solver, &phase, 1e-12, sizable(&solver)));
     LAW("which may be small", !is_decided(&solver, &phase, 1e-12, 6e-5) && is_decided(&solver, &phase, 1e-12, 7e-5));
     LAW("a solve goes on for a millionth", worthwhile(&solver) == 1e-6);
@@ -229,13 +235,8 @@ static void deciding(void)
 /* A cost that is not decided at a solution. */
 static void going_on(void)
 {
-    real lower[1] = {0}, upper[1] = {4}, zl[1] = {0}, zu[1] = {0}, slope[1] = {1e-8};
-    char fixed[1] = {0};
     const mbs_stages_errors solved = errors(1e-9, 0, 0);
-    anew(&solver, &phase);
-    solver.fixed = fixed;
-    phase.size = 1, phase.lower = lower, phase.upper = upper, phase.zl = zl, phase.zu = zu, phase.lagrangian = slope;
-    x[0] = 2, phase.cost = 1e-4;
+    place_number(1e-8, 1e-4);
     LAW("a solve goes on with a smaller tolerance", check(solved) == MBS_STAGES_RUNNING && near(solver.options.tol, 1e-12));
     LAW("once", check(errors(1e-13, 0, 0)) == MBS_STAGES_SOLVED);
     solver.is_sharper = 0, solver.options.tol = 1.01e-8;
@@ -248,13 +249,8 @@ static void going_on(void)
 /* Small changes lower the cost, 1e-4, by a slope times 2. */
 static void far_enough(void)
 {
-    real lower[1] = {0}, upper[1] = {4}, zl[1] = {0}, zu[1] = {0}, slope[1] = {1e-8};
-    char fixed[1] = {0};
     const mbs_stages_errors solved = errors(1e-9, 0, 0);
-    anew(&solver, &phase);
-    solver.fixed = fixed;
-    phase.size = 1, phase.lower = lower, phase.upper = upper, phase.zl = zl, phase.zu = zu, phase.lagrangian = slope;
-    x[0] = 2, phase.cost = 1e-4;
+    place_number(1e-8, 1e-4);
     slope[0] = 4.9e-13;
     LAW("nothing goes on where the cost is decided", check(solved) == MBS_STAGES_SOLVED && !solver.is_sharper);
     slope[0] = 1e-8;
