@@ -65,10 +65,10 @@ def make_pendulum(links: int) -> Any:
     return model
 
 
-def make_arm() -> Any:
-    """Make a link on a pin, with three muscles."""
+def make_link(name: str) -> tuple[Any, Any, Any]:
+    """Make a link on a pin; return the model, its ground and the link."""
     model = osim.Model()
-    model.setName("arm")
+    model.setName(name)
     model.set_gravity(osim.Vec3(0, -9.81, 0))
     ground, zero = model.getGround(), osim.Vec3(0)
     body = osim.Body("upper", 2.0, osim.Vec3(0, -0.13, 0), osim.Inertia(0.03))
@@ -76,6 +76,12 @@ def make_arm() -> Any:
     joint = osim.PinJoint("shoulder", ground, zero, zero, body, zero, zero)
     joint.updCoordinate().setName("shoulder")
     model.addJoint(joint)
+    return model, ground, body
+
+
+def make_arm() -> Any:
+    """Make a link on a pin, with three muscles."""
+    model, ground, body = make_link("arm")
     for name, strength, side in (("front", 450, 1), ("middle", 300, 1.2), ("back", 400, -1)):
         muscle = osim.DeGrooteFregly2016Muscle()
         muscle.setName(name)
@@ -107,15 +113,7 @@ def make_mixed_arm(third: str) -> Any:
 
     Those of De Groote have the same time constants: in a process of OpenSim 4.6, all have the ones of the first.
     """
-    model = osim.Model()
-    model.setName(third)
-    model.set_gravity(osim.Vec3(0, -9.81, 0))
-    ground, zero = model.getGround(), osim.Vec3(0)
-    body = osim.Body("upper", 2.0, osim.Vec3(0, -0.13, 0), osim.Inertia(0.03))
-    model.addBody(body)
-    joint = osim.PinJoint("shoulder", ground, zero, zero, body, zero, zero)
-    joint.updCoordinate().setName("shoulder")
-    model.addJoint(joint)
+    model, ground, body = make_link(third)
     common = {"optimal_fiber_length": 0.11, "tendon_slack_length": 0.06, "ignore_tendon_compliance": True}
     degroote, millard = "DeGrooteFregly2016Muscle", "Millard2012EquilibriumMuscle"
     lags = {"activation_time_constant": 0.03, "deactivation_time_constant": 0.05}
