@@ -40,17 +40,26 @@ typedef const long long *mbs_sparsity(long long i);
 _POINTERS, _STEPS = "double *[]", "long long[]"
 NULL: Any = _cffi_backend.FFI("mbs").NULL
 MASKED = "some entries are masked, so they have no numbers"
+ROUNDED = "{} given, float64 expected; convert it by astype(np.float64), if its digits suffice"
 
 
 class ArgumentError(MbsError):
     """A kernel that does not exist, or arguments that do not fit."""
 
 
-def check_masks(**values: ArrayLike) -> None:
-    """Raise ArgumentError for arrays with masked entries, whose values NumPy would take."""
+def is_exact(array: NDArray[Any]) -> bool:
+    """Whether an array holds real numbers of a type that is meant for float64: of float64, or whole numbers."""
+    return array.dtype.kind in "iu" or (array.dtype.kind == "f" and array.dtype.itemsize == np.dtype(float).itemsize)
+
+
+def check_numbers(**values: ArrayLike) -> None:
+    """Raise ArgumentError for arrays with masked entries, whose values NumPy would take, and of other digits."""
     masked = [name for name, value in values.items() if np.ma.is_masked(value)]
     if masked:
         raise ArgumentError(f"{', '.join(masked)}: {MASKED}")
+    for name, value in values.items():
+        if isinstance(value, np.ndarray) and value.dtype.kind == "f" and not is_exact(value):
+            raise ArgumentError(f"{name}: {ROUNDED.format(value.dtype)}")
 
 
 @dataclass(frozen=True)
@@ -225,7 +234,7 @@ class _Desk:
                 if array.shape != (1, *shape):
                     return False
                 array, self.is_batch = array[0], True
-            if array.dtype.kind not in "fiu":
+            if not is_exact(array):
                 return False
             slot[...] = array
         return True

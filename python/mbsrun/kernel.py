@@ -15,14 +15,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from mbsgen import manifest as manifests
 from mbsgen.errors import MbsError
 from mbsgen.manifest import FIRST_LENGTH, Argument, Kernel, Manifest
 from mbsgen.roles import FAMILY, ON_REQUEST, Order, Role, name_kernel, split_kernel
 from mbsrun import many
-from mbsrun.binding import MASKED, ArgumentError, Array, Entry, Port, Status, bind
+from mbsrun.binding import MASKED, ROUNDED, ArgumentError, Array, Entry, Port, Status, bind, is_exact
 from mbsrun.library import Compiler, compile_library, find_compiler
 from mbsrun.many import Loop, Several
 
@@ -425,23 +425,25 @@ def _collect(entry: Entry, inputs: Mapping[str, ArrayLike]) -> list[tuple[Port, 
             faults.append(f"{name}: {MASKED}")
         elif array is None:
             faults.append(f"{name}: not an array of real numbers, shape {_text(port.shape)} expected")
+        elif not is_exact(array):
+            faults.append(f"{name}: {ROUNDED.format(array.dtype)}")
         elif array.shape[-len(port.shape) :] != port.shape or array.ndim > len(port.shape) + 1:
             batch = _text(("batch", *port.shape))
             faults.append(f"{name}: shape {_text(array.shape)} given, {_text(port.shape)} or {batch} expected")
         else:
-            arrays.append((port, array))
+            arrays.append((port, array.astype(np.float64, copy=False)))
     if faults:
         raise ArgumentError("\n".join(f"{entry.kernel.name}: {fault}" for fault in faults))
     return arrays
 
 
-def _read(value: ArrayLike) -> Array | None:
-    """Return an array of real numbers; None if the value is none."""
+def _read(value: ArrayLike) -> NDArray[Any] | None:
+    """Return an array of real numbers of any type; None if the value is none."""
     try:
         array = np.asarray(value)
     except (ValueError, RuntimeError):  # ragged rows; a tensor of PyTorch that requires a gradient
         return None
-    return array.astype(np.float64, copy=False) if array.dtype.kind in "fiu" else None
+    return array if array.dtype.kind in "fiu" else None
 
 
 def _make_results(

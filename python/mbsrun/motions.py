@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mbsrun.binding import ArgumentError, check_masks
+from mbsrun.binding import ArgumentError, check_numbers
 from mbsrun.closure import OpenError
 from mbsrun.external import Mechanism
 from mbsrun.kernel import KernelError, is_count
@@ -143,7 +143,7 @@ def _spread(mechanism: Mechanism, q: ArrayLike, qd: ArrayLike, parameters: Mappi
     """Bring starts and parameters to one number of states. Raises ArgumentError."""
     manifest = mechanism.manifest
     sizes = {"q": len(manifest.positions), "qd": len(manifest.coordinates)}
-    check_masks(q=q, qd=qd, **parameters)
+    check_numbers(q=q, qd=qd, **parameters)
     states = {"q": np.atleast_2d(np.asarray(q, dtype=float)), "qd": np.atleast_2d(np.asarray(qd, dtype=float))}
     for name, size in sizes.items():
         if states[name].shape[1:] != (size,):

@@ -18,7 +18,7 @@ from mbsgen import resources
 from mbsgen.manifest import Argument, Kernel
 from mbsgen.roles import QUICKEST, Role
 from mbsrun import many
-from mbsrun.binding import ArgumentError, Array, Entry, Status, check_masks, declare, open_library
+from mbsrun.binding import ArgumentError, Array, Entry, Status, check_numbers, declare, open_library
 from mbsrun.external import Mechanism
 from mbsrun.kernel import Kernels, is_count
 from mbsrun.library import compile_library, find_compiler, once_per_compiler
@@ -92,12 +92,12 @@ def rollout(
     function = _choose_function(mechanism)
     kernel = mechanism.describe(function)
     _check(mechanism, kernel, step, steps, every, method, threads)
-    check_masks(q=q, qd=qd)
+    check_numbers(q=q, qd=qd)
     starts = [np.atleast_2d(np.asarray(x, dtype=float)) for x in (q, qd)]
     for title, named in (("inputs", inputs), ("parameters", parameters)):
         if not (named is None or isinstance(named, Mapping)):
             raise ArgumentError(f"{title}: a value of type {type(named).__name__}; give arrays by name")
-        check_masks(**(named or {}))
+        check_numbers(**(named or {}))
     given = [_read_course(kernel, name, array, steps) for name, array in (inputs or {}).items()]
     given += read_parameters(mechanism, kernel, parameters or {})
     sizes = (len(mechanism.manifest.positions), len(mechanism.manifest.coordinates))

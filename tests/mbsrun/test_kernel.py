@@ -265,13 +265,24 @@ def test_results_are_the_callers_own(k: Kernels) -> None:
 
 
 def test_numbers_of_other_types_are_converted(k: Kernels) -> None:
-    """Whole numbers, single precision, lists; strides of any kind."""
+    """Whole numbers, other orders of bytes, lists; strides of any kind."""
     expected = k.impl(x=np.array([1.0, 2.0, 3.0]), y=np.array([4.0, 5.0]), z=np.zeros(1))
-    for kind in (np.int64, np.float32, list):
+    for kind in (np.int64, np.uint8, ">f8", list):
         make = list if kind is list else (lambda v, kind=kind: np.array(v, dtype=kind))
         assert_close(k.impl(x=make([1, 2, 3]), y=make([4, 5]), z=make([0])), expected, tolerance=0)
     backwards = np.array([3.0, 2.0, 1.0])[::-1]
     assert_close(k.impl(x=backwards, y=[4, 5], z=[0]), expected, tolerance=0)
+
+
+@pytest.mark.parametrize("kind", [np.float16, np.float32, np.longdouble])
+def test_numbers_of_other_digits_are_refused(k: Kernels, kind: type) -> None:
+    """In one state and in many: what was rounded before, or would be, is not taken for float64."""
+    y, z = np.zeros(2), np.zeros(1)
+    for x in (np.ones(3, kind), np.ones((2, 3), kind), [kind(1)] * 3):
+        with pytest.raises(ArgumentError, match=rf"impl: x: {np.dtype(kind)} given, float64 expected; .*astype"):
+            k.impl(x=x, y=y, z=z)
+    with pytest.raises(ArgumentError, match=rf"{np.dtype(kind)} given"):
+        k.batch("impl", x=np.ones((2, 3), kind), y=y, z=z)
 
 
 def test_kernels_may_be_called_by_many_threads(folder: Path) -> None:

@@ -239,6 +239,10 @@ MISUSES: dict[str, tuple[Callable[[Any], object], str]] = {
         lambda f: f.impl(x=torch.ones(3), y=ones(2), z=ones(1)),
         "impl: x: torch.float32 given, torch.float64 expected; convert it by .double()",
     ),
+    "an array of single precision": (
+        lambda f: f.impl(x=np.ones(3, np.float32), y=ones(2), z=ones(1)),
+        "impl: x: float32 given, float64 expected; convert it by astype(np.float64), if its digits suffice",
+    ),
     "device": (
         lambda f: f.impl(x=ones(3).to("meta"), y=ones(2), z=ones(1)),
         "move it by .cpu(), or compute batches on a GPU by mbsrun.cuda",

@@ -12,7 +12,7 @@ import torch
 from torch.utils.checkpoint import checkpoint
 
 from mbsgen.roles import Order, Role
-from mbsrun.binding import ArgumentError
+from mbsrun.binding import ROUNDED, ArgumentError, is_exact
 from mbsrun.faces.face import Given
 from mbsrun.faces.operators import Operator
 from mbsrun.faces.stepping import Policy, SteppingFace, choose_slopes, divide
@@ -209,4 +209,6 @@ def _read_numbers(value: Any) -> Any:
         array = np.array(None)
     if array.dtype.kind not in "fiu":
         raise ArgumentError(f"not a tensor or an array of real numbers: {type(value).__name__}")
+    if not is_exact(array):
+        raise ArgumentError(ROUNDED.format(array.dtype))
     return array.astype(np.float64)

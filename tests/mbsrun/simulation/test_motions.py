@@ -132,6 +132,8 @@ def test_misuse_is_told(pendulum: Mechanism) -> None:
         simulate_many(pendulum, drive, [0.0, 0.0], [0.0], settings)
     with pytest.raises(ArgumentError, match=r"^q: some entries are masked"):
         simulate_many(pendulum, drive, np.ma.array([[0.0]], mask=True), [0.0], settings)
+    with pytest.raises(ArgumentError, match=r"^qd: float32 given, float64 expected"):
+        simulate_many(pendulum, drive, [0.0], np.zeros((1, 1), np.float32), settings)
     with pytest.raises(ArgumentError, match="arrays are of no starts; give one start at least"):
         simulate_many(pendulum, drive, np.zeros((0, 1)), [0.0], settings)
     bare: Any = np.zeros(1)
