@@ -13,10 +13,13 @@ from jsonschema import Draft202012Validator
 
 from mbsgen.documents import read_document
 from mbsgen.errors import InputError
-from mbsgen.expressions import FLOATS, evaluate
+from mbsgen.expressions import FLOATS, Expression, evaluate
 from mbsgen.importing.markup import Element, read_markup
+from mbsgen.importing.rotations import turn
+from mbsgen.model.model import Hull, Placement, Plane, Triple
 from mbsgen.model.reader import read_model
 from mbsgen.subjects.osim import Masses, list_bodies, scale_osim
+from mbsgen.subjects.plain import scale_model
 from mbsgen.subjects.reading import read_subject
 from mbsgen.subjects.scaling import ModelSource, OsimSource, scale_subject
 from mbsgen.subjects.schema import write_schema
@@ -215,6 +218,72 @@ def test_a_model_file_is_stretched_as_a_file_of_opensim(tmp_path: Path) -> None:
     assert fitted.scaled.lines["vastus"] == pytest.approx(after / before, rel=1e-12)
     same = scale_subject(read_subject(write_model(tmp_path, "")), {})
     assert same.text == ModelSource(read_model(tmp_path / "leg.yaml")).write()
+
+
+SOLIDS = """
+name: solids
+gravity: [0, 0, 0]
+bodies:
+  - {name: stone, joint: {type: free}, mass: 1, inertia: [0.1, 0.1, 0.1]}
+  - {name: rock, joint: {type: free}, mass: 1, inertia: [0.1, 0.1, 0.1]}
+contacts:
+  - name: pair
+    body: stone
+    position: [0.1, 0.2, 0.3]
+    orientation: {rpy: [0.4, -0.3, 0.8]}
+    points: [[0.1, 0, 0], [0, 0.2, 0], [0, 0, 0.3], [-0.1, -0.1, -0.1]]
+    hull: {body: rock, position: [0, 0.1, 0], points: [[0.2, 0, 0], [0, 0.1, 0], [0, 0, 0.4], [-0.2, -0.1, -0.1]]}
+    restitution: 0
+  - name: slope
+    body: stone
+    radius: 0.1
+    plane: {body: rock, position: [0, 0, 0.1], normal: [0.3, -0.2, 1]}
+    stiffness: 1
+  - {name: tyre, body: stone, wheel: {radius: 0.3, axis: z, length: 0.2}, stiffness: 1}
+  - {name: box, body: stone, size: [0.1, 0.2, 0.3], orientation: {rpy: [0, 0, pi/2]}, stiffness: 1}
+"""
+
+
+def test_shapes_of_contacts_are_stretched_with_their_bodies(tmp_path: Path) -> None:
+    """Points of a hull go where its body's points go, a plane through three of them stays so, and boxes turn."""
+    (tmp_path / "solids.yaml").write_text(SOLIDS, encoding="utf-8")
+    model = read_model(tmp_path / "solids.yaml")
+    own, other = (1.5, 0.8, 1.2), (0.7, 2.0, 1.1)
+    scaled = scale_model(model, {"stone": own, "rock": other}, Masses())
+
+    def number(x: Expression) -> float:
+        return evaluate(x, {}, FLOATS)
+
+    def place(points: tuple[Triple, ...], placement: Placement) -> np.ndarray:
+        R = np.eye(3)
+        for rotation in placement.orientation:
+            R = R @ turn(np.eye(3)[rotation.axis], number(rotation.angle))
+        centre = np.array([number(x) for x in placement.position])
+        return np.array([[number(x) for x in point] for point in points]) @ R.T + centre
+
+    (before, slope, wheel, _), (after, slope_after, wheel_after, box_after) = model.contacts, scaled.contacts
+    stretched = place(before.points, before.placement) * own
+    assert place(after.points, after.placement) == pytest.approx(stretched, rel=1e-14)
+    assert isinstance(before.other, Hull)
+    assert isinstance(after.other, Hull)
+    stretched = place(before.other.points, before.other.placement) * other
+    assert place(after.other.points, after.other.placement) == pytest.approx(stretched, rel=1e-14)
+
+    assert isinstance(slope.other, Plane)
+    assert isinstance(slope_after.other, Plane)
+    normal, turned = (np.array([number(x) for x in side.normal]) for side in (slope.other, slope_after.other))
+    (origin,) = place((slope.other.position,), Placement()) * other
+    assert place((slope_after.other.position,), Placement())[0] == pytest.approx(origin)
+    across = np.linalg.svd(normal[None])[2][1:]  # directions within the plane
+    assert turned @ (across * other).T == pytest.approx([0, 0], abs=1e-14)
+
+    assert wheel.wheel is not None
+    assert wheel_after.wheel is not None
+    assert number(wheel_after.wheel.radius) == pytest.approx(0.3 * (1.5 + 0.8) / 2)
+    assert number(wheel_after.wheel.length) == pytest.approx(0.2 * 1.2)
+    assert box_after.size is not None
+    assert [number(x) for x in box_after.size] == pytest.approx([0.1 * 0.8, 0.2 * 1.5, 0.3 * 1.2])
+    assert scale_model(model, {}, Masses()).contacts == model.contacts
 
 
 def test_segments_of_the_table_have_its_lengths_masses_and_inertias(tmp_path: Path) -> None:

@@ -32,7 +32,8 @@ class Choices:
     friction_speed: float = 0.01  # at which 3/4 of dry friction are reached [rad/s or m/s]
     dry_friction: bool = False  # joints stick and slide, in simulations; else friction is smoothed
     stops: float | None = None  # the restitution of rigid stops at all limits; None: no stops
-    contacts: float | None = None  # the restitution of rigid contacts with the planes of MJCF; None: no contacts
+    contacts: float | None = None  # the restitution of rigid contacts of the geoms of MJCF; None: no contacts
+    contacts_of: Literal["all", "planes"] = "all"  # the pairs of geoms that have contacts
     quarter_turns: float = 1e-11  # angles nearer than this to a quarter turn are rounded to it [rad]
     allow_unphysical: bool = False  # accept inertias that no body can have
     root: Path | None = None  # the folder that holds all files which the file names; None: the file's own

@@ -19,16 +19,22 @@ from mbsgen.model.model import (
     BASE,
     ORIGIN,
     ZERO,
+    Block,
     Body,
+    Capsule,
     Contact,
     Fixed,
     ForceElement,
     Inertia,
     Joint,
     Model,
+    Other,
     PathPoint,
     Placement,
+    Plane,
+    Sphere,
     Visual,
+    Wheel,
     Wrap,
     Wrench,
 )
@@ -51,7 +57,7 @@ def scale_model(model: Model, factors: Mapping[str, Triple], masses: Masses) -> 
         frames=tuple(replace(x, placement=_move(x.placement, _of(factors, x.body))) for x in model.frames),
         wrenches=tuple(_scale_wrench(x, factors) for x in model.wrenches),
         forces=tuple(_scale_line(x, factors, values) for x in model.forces),
-        contacts=tuple(_scale_contact(x, factors) for x in model.contacts),
+        contacts=tuple(_scale_contact(x, factors, values) for x in model.contacts),
     )
 
 
@@ -200,11 +206,79 @@ def _scale_wrench(wrench: Wrench, factors: Mapping[str, Triple]) -> Wrench:
     return replace(wrench, position=_stretch(wrench.position, _of(factors, wrench.body)), against=other)
 
 
-def _scale_contact(contact: Contact, factors: Mapping[str, Triple]) -> Contact:
+def _scale_contact(contact: Contact, factors: Mapping[str, Triple], values: Mapping[str, float]) -> Contact:
+    """Stretch both sides. A sphere, and the round edge of a solid, keep their shape: by the mean factor."""
+    contact = replace(contact, other=_scale_side(contact.other, _of(factors, contact.other.body), values))
     own = _of(factors, contact.body)
-    mean = sum(own) / 3
-    size = None if contact.size is None else _stretch(contact.size, own)
-    return replace(contact, placement=_move(contact.placement, own), radius=_times(contact.radius, mean), size=size)
+    if own == WHOLE:
+        return contact
+    within = _turn_factors(contact.placement, own, values)
+    size = None if contact.size is None else _stretch_size(contact.size, within)
+    return replace(
+        contact,
+        placement=_move(contact.placement, own),
+        radius=_times(contact.radius, sum(own) / 3),
+        size=size,
+        points=tuple(_deform(x, within, values) for x in contact.points),
+        wheel=None if contact.wheel is None else _scale_wheel(contact.wheel, within, values),
+    )
+
+
+def _scale_side(side: Other, factors: Triple, values: Mapping[str, float]) -> Other:
+    if factors == WHOLE:
+        return side
+    if isinstance(side, Plane):
+        a, b, c = (_times(x, 1 / f) for x, f in zip(side.normal, factors, strict=True))
+        return replace(side, position=_stretch(side.position, factors), normal=(a, b, c))
+    mean = sum(factors) / 3
+    if isinstance(side, Sphere):
+        return replace(side, position=_stretch(side.position, factors), radius=_times(side.radius, mean))
+    within, placement = _turn_factors(side.placement, factors, values), _move(side.placement, factors)
+    if isinstance(side, Block):
+        return replace(side, placement=placement, size=_stretch_size(side.size, within))
+    if isinstance(side, Capsule):
+        along = float(np.linalg.norm(within[:, 2]))
+        return replace(side, placement=placement, radius=_times(side.radius, mean), length=_times(side.length, along))
+    points = tuple(_deform(x, within, values) for x in side.points)
+    return replace(side, placement=placement, radius=_times(side.radius, mean), points=points)
+
+
+def _turn_factors(placement: Placement, factors: Triple, values: Mapping[str, float]) -> Array:
+    """Return the stretch of a body (3, 3) along the axes of a frame on it."""
+    R = _rotate(placement, values)
+    turned: Array = R.T @ np.diag(factors) @ R
+    return turned
+
+
+def _stretch_size(size: Position, within: Array) -> Position:
+    """Stretch the edges of a box: each by as much as its direction, so that it stays a box."""
+    x, y, z = (float(a) for a in np.linalg.norm(within, axis=0))
+    return _stretch(size, (x, y, z))
+
+
+def _deform(position: Position, within: Array, values: Mapping[str, float]) -> Position:
+    """Move a point, given in a frame, with the stretch along the axes of that frame."""
+    diagonal = np.diag(within)
+    if np.array_equal(within, np.diag(diagonal)):
+        x, y, z = map(float, diagonal)
+        return _stretch(position, (x, y, z))
+    moved = within @ np.array([evaluate(x, values, FLOATS) for x in position])
+    a, b, c = map(Number, moved.tolist())
+    return a, b, c
+
+
+def _scale_wheel(wheel: Wheel, within: Array, values: Mapping[str, float]) -> Wheel:
+    """Stretch a wheel: its axis as its body, its radius by the mean in its plane, so that it stays round."""
+    axis = np.array([evaluate(x, values, FLOATS) for x in wheel.axis])
+    axis /= np.linalg.norm(axis)
+    across = float(np.trace(within) - axis @ within @ axis) / 2
+    along = float(np.linalg.norm(within @ axis))
+    return replace(
+        wheel,
+        radius=_times(wheel.radius, across),
+        axis=_deform(wheel.axis, within, values),
+        length=_times(wheel.length, along),
+    )
 
 
 def _scale_lengths(line: ForceElement, ratio: float) -> ForceElement:

@@ -9,13 +9,16 @@ import mujoco
 import numpy as np
 import pytest
 
+from mbsgen.errors import InputError
 from mbsgen.expressions import FLOATS, evaluate
 from mbsgen.importing import Choices, Imported, import_model
 from mbsgen.model.changes.reduction import build_tree
 from mbsgen.model.writer import write_model
 from mbsrun import load
+from mbsrun.models import Extent
 from mbsrun.simulation import Settings, simulate
 from mbsrun.simulation.drive import hold
+from mbsrun.simulation.solids import measure_pairs
 from tests.mbsgen.model.pairs import call
 
 CORNERS = "0 0 0  0.2 0 0  0 0.3 0  0 0 0.25  0.05 0.05 0.05"
@@ -155,16 +158,137 @@ def test_a_box_slides_down_as_coulomb_says(requires: Callable[[str], str], tmp_p
     assert motion.q[-1][:3] - motion.q[0][:3] == pytest.approx(way * down, abs=1e-9)
 
 
+TREE = """\
+<mujoco>
+  <option><flag filterparent="FLAG"/></option>
+  <default><geom size="5"/></default>
+  <worldbody>
+    <geom name="ground"/>
+    <body name="post"><geom name="post"/>
+      <body name="a"><joint/><geom name="a"/><geom name="a2" contype="2" conaffinity="4"/>
+        <body name="plate"><geom name="plate"/>
+          <body name="b"><joint/><geom name="b"/>
+            <body name="c"><joint/><joint axis="1 0 0"/><geom name="c" contype="4"/></body>
+          </body>
+        </body>
+        <body name="d"><joint/><geom name="d"/></body>
+      </body>
+    </body>
+    <body name="e"><freejoint/><geom name="e"/><geom name="e2" contype="0" conaffinity="0"/></body>
+  </worldbody>
+  <contact>
+    <exclude body1="d" body2="e"/>
+    <pair geom1="a" geom2="b"/>
+    <pair geom1="e2" geom2="post" condim="1"/>
+    <pair geom1="c" geom2="e" friction="0.4 0.4 0.1 0.1 0.1"/>
+  </contact>
+</mujoco>
+"""
+
+
+@pytest.mark.parametrize("flag", ["enable", "disable"])
+def test_pairs_of_bodies_touch_as_in_mujoco(flag: str, tmp_path: Path) -> None:
+    """Spheres on each other: masks, welded bodies, parents, `exclude` and `pair`; and the friction of each."""
+    text = TREE.replace("FLAG", flag)
+    model = mujoco.MjModel.from_xml_string(text)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+
+    def name(geom: int) -> str:
+        return str(mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_GEOM, geom))
+
+    expected = {}
+    for k in range(data.ncon):
+        coefficient = None if data.contact.dim[k] == 1 else pytest.approx(data.contact.friction[k][0])
+        expected[frozenset(map(name, data.contact.geom[k]))] = coefficient
+    found = {
+        frozenset(x.name.split(".")): None if x.friction is None else evaluate(x.friction.coefficient, {}, FLOATS)
+        for x in bring(text, tmp_path).model.contacts
+    }
+    assert len(expected) > 15
+    assert found == expected
+
+
+PAIR = """\
+<mujoco>
+  <compiler angle="radian"/>
+  <default><geom friction="0.6 0.01 0.001"/></default>
+  <asset><mesh name="wedge" vertex="CORNERS"/></asset>
+  <worldbody>
+    <body><freejoint/>
+      <frame pos="0.1 0 0" euler="0 0.4 0">FIRST</frame><inertial pos="0 0 0.1" mass="2" diaginertia="0.1 0.2 0.15"/>
+    </body>
+    <body><freejoint/>
+      <frame pos="0 0 0.1" euler="0.7 0 0">OTHER</frame><inertial pos="0 0 0" mass="2" diaginertia="0.1 0.2 0.15"/>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+
+
+@pytest.mark.parametrize("shapes", ["box, box", "mesh, capsule", "sphere, mesh", "capsule, box", "mesh, mesh"])
+def test_distances_of_bodies_are_those_of_mujoco(shapes: str, requires: Callable[[str], str], tmp_path: Path) -> None:
+    """Of solids on two free bodies at random places."""
+    requires("cc")
+    first, other = (GEOMS[x].replace('name="g"', f'name="{n}"') for x, n in zip(shapes.split(", "), "gh", strict=True))
+    text = PAIR.replace("FIRST", first).replace("OTHER", other).replace("CORNERS", CORNERS)
+    found = bring(text, tmp_path)
+    assert any("only the method moreau" in str(x) for x in found.notices)
+    (tmp_path / "pair.yaml").write_text(write_model(found.model), encoding="utf-8")
+    kernels = load(tmp_path / "pair.yaml", extent=Extent(("meetings",), 0))
+    model = mujoco.MjModel.from_xml_string(text)
+    data, random = mujoco.MjData(model), np.random.default_rng(5)
+    for _ in range(10):
+        turns = random.normal(size=(2, 4))
+        turns /= np.linalg.norm(turns, axis=1)[:, None]
+        places = np.array([random.uniform(-0.2, 0.2, 3), [1.2, 0.4, -0.3]])
+        data.qpos[:] = np.hstack([places, turns]).ravel()
+        mujoco.mj_forward(model, data)
+        q = np.hstack([places, np.roll(turns, -1, axis=1)]).ravel()
+        least = mujoco.mj_geomDistance(model, data, 0, 1, 10.0, None)
+        assert least > 0.1
+        assert measure_pairs(kernels, q[None])[0][0, 0] == pytest.approx(least, abs=2e-6)
+
+
+def test_a_box_rests_on_a_box_of_the_world(requires: Callable[[str], str], tmp_path: Path) -> None:
+    """Imported without a plane; and without its contacts where planes alone are asked for."""
+    requires("cc")
+    text = """<mujoco><worldbody><geom type="box" size="1 1 0.1"/>
+      <body pos="0 0 0.3"><freejoint/><geom type="box" size="0.1 0.1 0.2" mass="1"/></body></worldbody></mujoco>"""
+    found = bring(text, tmp_path)
+    (tmp_path / "box.yaml").write_text(write_model(found.model), encoding="utf-8")
+    start = [0, 0, 0.3, 0, 0, 0, 1]
+    motion = simulate(load(tmp_path / "box.yaml"), hold([]), start, np.zeros(6), Settings(0.1, "moreau", step=1e-3))
+    assert motion.q[-1] == pytest.approx(start, abs=1e-12)
+    alone = import_model(tmp_path / "scene.xml", Choices(contacts=0.0, contacts_of="planes"))
+    assert alone.model.contacts == ()
+    assert any("1 pairs of geoms may touch besides" in str(x) for x in alone.notices)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        ('<geom name="e"/>', '<geom name="e" type="plane" size="1 1 1"/>', "type plane moves with its body"),
+        ('geom1="a"', 'geom1="z"', 'there is no geom "z"'),
+    ],
+)
+def test_what_mujoco_refuses_is_refused(old: str, new: str, expected: str, tmp_path: Path) -> None:
+    text = TREE.replace("FLAG", "enable").replace(old, new)
+    with pytest.raises(ValueError, match=r"plane only allowed in static bodies|geom 'z' not found"):
+        mujoco.MjModel.from_xml_string(text)
+    with pytest.raises(InputError, match=expected):
+        bring(text, tmp_path)
+
+
 def test_what_is_left_out_is_told(tmp_path: Path) -> None:
-    """Ellipsoids, bodies among themselves, pairs; and, without the option, that it exists."""
+    """Ellipsoids, pairs without motion; and, without the option, that it exists."""
     more = '<body><freejoint/><geom size="0.1" pos="3 0 3"/></body>'
     text = SCENE.replace("GEOM", '<geom type="ellipsoid" size="0.1 0.2 0.3"/>').replace(
         "</worldbody>", f"{more}</worldbody>"
     )
     told = [str(x) for x in bring(text, tmp_path).notices]
-    assert any("passes through planes: contacts of the type ellipsoid" in x for x in told)
-    assert any("1 pairs of geoms may touch besides" in x for x in told)
-    assert any("1 contacts of geoms with planes are rigid" in x for x in told)
+    assert sum("passes through all others: contacts of the type ellipsoid" in x for x in told) == 1
+    assert any("1 contacts of geoms are rigid" in x for x in told)
     pair = text.replace("</mujoco>", '<contact><pair geom1="floor" geom2="floor"/></contact></mujoco>')
     assert any("a pair of geoms is left out" in str(x) for x in bring(pair, tmp_path).notices)
     inertial = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1"/></inertial>'

@@ -1,14 +1,16 @@
-"""Geoms of MJCF -> rigid contacts of moving bodies with planes that stand, if the choices ask for contacts.
+"""Geoms of MJCF -> rigid contacts with each other and with planes, if the choices ask for contacts.
 
-- sphere; capsule: two spheres; box; cylinder: points of its rims; mesh: the corners of its convex hull.
-- Two geoms touch if the `contype` of one shares a bit with the `conaffinity` of the other, and no `exclude` names their
-  bodies. The friction is the larger sliding coefficient of both geoms; the one of higher `priority` decides alone;
-  none where `condim` is 1.
+- sphere; capsule; box; cylinder: the hull of points of its rims; mesh: its convex hull. Planes stand.
+- Two geoms touch if the `contype` of one shares a bit with the `conaffinity` of the other, and no `exclude` names
+  their bodies. Geoms that are welded to each other do not touch, nor a body and its carrier, unless the carrier stands
+  or `filterparent` is disabled. A `pair` touches in any case.
+- The friction is the larger sliding coefficient of both geoms; the one of higher `priority` decides alone; none where
+  `condim` is 1. A `pair` may give both.
 
-What else may touch is left out with a warning: bodies among themselves, standing shapes other than planes, ellipsoids.
-MuJoCo's contacts give way, by `solref` and `solimp`; these are rigid, with the restitution of the choices.
+Other shapes are left out with a warning. MuJoCo's contacts give way, by `solref` and `solimp`; these are rigid, with
+the restitution of the choices.
 
-Source: MuJoCo, XML reference, `geom`; Computation, contact.
+Source: MuJoCo, XML reference, `geom`, `contact`; Computation, collision detection, selection.
 """
 
 from __future__ import annotations
@@ -19,14 +21,16 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from mbsgen.documents import abbreviate
 from mbsgen.expressions import Number
 from mbsgen.importing.closing import Spot
 from mbsgen.importing.drafting import Draft
 from mbsgen.importing.findings import Findings
 from mbsgen.importing.markup import Element
+from mbsgen.importing.mjcf.inheritance import MAIN, Defaults
 from mbsgen.importing.mjcf.mesh_solids import MeshError
 from mbsgen.importing.poses import Array, Pose, write_axis, write_triple
-from mbsgen.model.model import ZERO, Contact, Grip, Plane
+from mbsgen.model.model import ZERO, Block, Capsule, Contact, Grip, Hull, Other, Placement, Plane, Sphere
 
 RIM = 16  # points of each rim of a cylinder
 MOST = 100  # corners of a hull
@@ -37,6 +41,14 @@ Enclose = Callable[[Element, Mapping[str, str]], tuple[Array, Pose]]  # of a mes
 Place = Callable[[Element, Mapping[str, str]], Pose]
 
 
+@dataclass(frozen=True)
+class Welded:
+    """Bodies that nothing moves relative to each other."""
+
+    number: int = 0  # 0: they stand
+    above: int = 0  # the number of the ones that carry them
+
+
 @dataclass(frozen=True, eq=False)
 class Geom:
     """A geom that may touch others."""
@@ -45,22 +57,56 @@ class Geom:
     attributes: Mapping[str, str]
     spot: Spot  # the frame of its body, with the frames around it
     body: str  # its body's name in the file; "world"
-    stands: bool  # nothing moves it
+    welded: Welded
 
     @property
     def shape(self) -> str:
         """Return its type."""
         return self.attributes.get("type", "sphere")
 
+    @property
+    def stands(self) -> bool:
+        """Return whether nothing moves it."""
+        return self.welded.number == 0
+
+    @property
+    def has_masks(self) -> bool:
+        """Return whether a mask of it is not 0."""
+        return any(self.attributes.get(mask, "1").strip() != "0" for mask in ("contype", "conaffinity"))
+
+    @property
+    def name(self) -> str:
+        """Return its name, or its body's."""
+        return self.attributes.get("name") or self.body or "contact"
+
 
 @dataclass(frozen=True)
 class _Shape:
-    """The first side of a contact, in the frame of its body."""
+    """A side of a contact, in the frame of its body."""
 
     pose: Pose
     radius: float = 0.0
     size: tuple[float, ...] | None = None
     points: tuple[tuple[float, ...], ...] = ()
+
+    def touch(self, body: str, placement: Placement) -> Other:
+        """Return the shape as the second side of a contact."""
+        if self.size is not None:
+            return Block(write_triple(self.size), body, placement)
+        if not self.points:
+            return Sphere(Number(self.radius), body, placement.position)
+        if self.radius:
+            return Capsule(Number(self.radius), Number(2 * self.points[1][2]), body, placement)
+        return Hull(tuple(map(write_triple, self.points)), ZERO, body, placement)
+
+
+@dataclass(frozen=True)
+class _Pair:
+    """Two geoms that may touch; the first one moves, and is not a plane."""
+
+    first: Geom
+    other: Geom
+    given: tuple[Element, Mapping[str, str]] | None = None  # a `pair` of the file, with its attributes
 
 
 @dataclass
@@ -69,66 +115,103 @@ class Contacts:
 
     draft: Draft
     findings: Findings
+    defaults: Defaults
     measure: Measure  # raises MeshError
     enclose: Enclose  # likewise
     place: Place
+    filters_parents: bool  # a body does not touch the one that carries it
     geoms: list[Geom] = field(default_factory=list)
+    _shapes: dict[Geom, _Shape | None] = field(default_factory=dict)
 
     def note(self, geom: Geom) -> None:
-        """Note a geom, unless both its masks are 0."""
-        if any(geom.attributes.get(mask, "1").strip() != "0" for mask in ("contype", "conaffinity")):
-            self.geoms.append(geom)
+        """Note a geom; a plane or a height field that moves is a fault."""
+        if geom.shape in ("plane", "hfield") and not geom.stands:
+            text = f"a geom of the type {geom.shape} moves with its body, which MuJoCo refuses"
+            self.findings.fault(geom.element, text, "give the body a box, or the world the plane")
+        self.geoms.append(geom)
 
     @property
     def moving(self) -> list[Geom]:
-        """List the geoms of bodies of the file."""
-        return [x for x in self.geoms if x.body != "world"]
+        """List the geoms of bodies of the file that may touch others."""
+        return [x for x in self.geoms if x.body != "world" and x.has_masks]
 
     def add(self, root: Element) -> None:
-        """Add the contacts with planes; notices say what is left out."""
+        """Add the contacts; notices say what is left out."""
+        pairs = [*self._list_given(root), *self._list_masked(root)]
+        if self.draft.choices.contacts_of == "planes":
+            apart = sum(x.other.shape != "plane" for x in pairs)
+            pairs = [x for x in pairs if x.other.shape == "plane"]
+            if apart:
+                text = f"{apart} pairs of geoms may touch besides: they pass through; planes alone were asked for"
+                self.findings.sum_up(text, alters=True)
+        made = [pair for pair in pairs if self._add(pair)]
+        if not made:
+            self.findings.sum_up("no geom of a body may touch another: no contacts are made")
+            return
+        text = f"{len(made)} contacts of geoms are rigid: MuJoCo's give way, by solref and solimp"
+        self.findings.sum_up(text, alters=True)
+        if among := sum(_is_of_solids(self._shapes[x.first], x.other) for x in made):
+            text = f"{among} contacts are of solids with each other: only the method moreau simulates them"
+            self.findings.sum_up(f"{text}; --contacts-of planes leaves them out")
+
+    def _list_given(self, root: Element) -> Iterator[_Pair]:
+        """List the pairs that the file gives by the names of their geoms."""
+        known = {x.attributes["name"]: x for x in self.geoms if "name" in x.attributes}
+        for element in (x for section in root.all("contact") for x in section.all("pair")):
+            attributes = self.defaults.resolve(element, element.attributes.get("class", MAIN))
+            names = [attributes.get(key, "") for key in ("geom1", "geom2")]
+            if lacking := [x for x in names if x not in known]:
+                self.findings.fault(element, f"there is no geom {abbreviate(lacking[0])}", "name two geoms")
+                continue
+            first, other = (known[x] for x in names)
+            if first.welded.number == other.welded.number:
+                self.findings.warn(element, "a pair of geoms is left out: they do not move relative to each other")
+                continue
+            if len(set(attributes.get("friction", "").split()[:2])) == 2:
+                self.findings.warn(element, "friction that differs by direction is not made: the first one is used")
+            yield _order(first, other, (element, attributes))
+
+    def _list_masked(self, root: Element) -> Iterator[_Pair]:
+        """List the pairs that touch by their masks, and have no `pair`."""
+        sections = [*root.all("contact")]
         excluded = {
-            frozenset((x.attributes.get("body1", ""), x.attributes.get("body2", "")))
-            for section in root.all("contact")
+            frozenset(x.attributes.get(key, "") for key in ("body1", "body2"))
+            for section in sections
             for x in section.all("exclude")
         }
-        movers, planes = ([x for x in self.geoms if x.stands == stands] for stands in (False, True))
-        others = [x for x in planes if x.shape != "plane"]
-        planes = [x for x in planes if x.shape == "plane"]
-        made = 0
-        for geom in movers:
-            met = [plane for plane in planes if self._meet(geom, plane, excluded)]
-            shape = self._describe(geom) if met else None
-            for plane in met if shape is not None else ():
-                assert shape is not None, "it has one"
-                self._add(geom, shape, plane)
-                made += 1
-        if made:
-            text = f"{made} contacts of geoms with planes are rigid: MuJoCo's give way, by solref and solimp"
-            self.findings.sum_up(text, alters=True)
-        else:
-            self.findings.sum_up("no geom of a body may touch a plane: no contacts are made")
-        apart = sum(
-            self._meet(x, y, excluded) for i, x in enumerate(movers) for y in movers[:i] if x.spot.body != y.spot.body
-        )
-        apart += sum(self._meet(x, y, excluded) for x in movers for y in others)
-        if apart:
-            text = f"{apart} pairs of geoms may touch besides: they pass through; contacts are made with planes alone"
-            self.findings.sum_up(text, alters=True)
+        given = {
+            frozenset(x.attributes.get(key, "") for key in ("geom1", "geom2"))
+            for section in sections
+            for x in section.all("pair")
+        }
+        for i, geom in enumerate(self.geoms):
+            for other in self.geoms[:i]:
+                names = {x.attributes.get("name") for x in (other, geom)}
+                if names not in given and self._meet(other, geom, excluded):
+                    yield _order(other, geom)
 
     def _meet(self, geom: Geom, other: Geom, excluded: set[frozenset[str]]) -> bool:
-        """Return whether two geoms may touch."""
+        """Return whether two geoms may touch by their masks."""
+        first, second = geom.welded, other.welded
+        if first.number == second.number or frozenset((geom.body, other.body)) in excluded:
+            return False
+        carried = first.number == second.above or second.number == first.above
+        if self.filters_parents and carried and not (geom.stands or other.stands):
+            return False
         (a, b), (c, d) = (
             [int(self._number(x, mask, 1.0)) for mask in ("contype", "conaffinity")] for x in (geom, other)
         )
-        return bool((a & d) | (c & b)) and frozenset((geom.body, other.body)) not in excluded
+        return bool((a & d) | (c & b))
 
     def _describe(self, geom: Geom) -> _Shape | None:
-        """Describe the shape of a geom; None, and a warning, for one that has no contacts here."""
-        try:
-            return self._find_shape(geom)
-        except MeshError as error:
-            self.findings.warn(geom.element, f"it passes through planes: {error.finding}")
-            return None
+        """Describe the shape of a geom; None, and one warning, for one that has no contacts here."""
+        if geom not in self._shapes:
+            try:
+                self._shapes[geom] = self._find_shape(geom)
+            except MeshError as error:
+                self.findings.warn(geom.element, f"it passes through all others: {error.finding}")
+                self._shapes[geom] = None
+        return self._shapes[geom]
 
     def _find_shape(self, geom: Geom) -> _Shape:
         around, shape = geom.spot.pose, geom.shape
@@ -149,48 +232,79 @@ class Contacts:
                 return _Shape(pose, size=tuple(2 * x for x in half))
             case "capsule":
                 return _Shape(pose, radius=half[0], points=((0.0, 0.0, -half[1]), (0.0, 0.0, half[1])))
-        text = f"a cylinder touches planes by {RIM} points of each rim"
+        text = f"a cylinder touches others by the hull of {RIM} points of each rim"
         self.findings.tell(geom.element, text)
         return _Shape(pose, points=tuple(_list_rims(*half)))
 
-    def _add(self, geom: Geom, shape: _Shape, plane: Geom) -> None:
-        seat = plane.spot.pose @ self.place(plane.element, plane.attributes)
-        normal = np.where(np.abs(seat.rotation[:, 2]) < ROUNDING, 0.0, seat.rotation[:, 2])
+    def _add(self, pair: _Pair) -> bool:
+        """Add the contact of two geoms; return False, after a warning, where a shape has no contacts here."""
+        geom, shape, other = pair.first, self._describe(pair.first), self._touch(pair.other)
+        if shape is None or other is None:
+            return False
         writer, restitution = self.draft.writer, self.draft.choices.contacts
         assert restitution is not None, "the choices ask for contacts"
-        friction = self._combine(geom, plane)
+        friction = self._combine(pair)
+        is_plane = isinstance(other, Plane)
         contact = Contact(
-            name=geom.attributes.get("name") or geom.body or "contact",
+            name=geom.name if is_plane else f"{geom.name}.{pair.other.name}",
             body=geom.spot.body,
             stiffness=ZERO,
             placement=writer.placement(shape.pose),
             radius=Number(shape.radius),
             size=None if shape.size is None else write_triple(shape.size),
-            other=Plane(plane.spot.body, write_triple(seat.position), write_axis(normal)),
+            other=other,
             friction=None if friction is None else Grip(Number(friction), None),
             restitution=Number(restitution),
             points=tuple(map(write_triple, shape.points)),
         )
         self.draft.add_contact(contact, geom.element)
+        return True
 
-    def _combine(self, geom: Geom, plane: Geom) -> float | None:
+    def _touch(self, geom: Geom) -> Other | None:
+        """Return a geom as the second side of contacts."""
+        if geom.shape == "plane":
+            seat = geom.spot.pose @ self.place(geom.element, geom.attributes)
+            normal = np.where(np.abs(seat.rotation[:, 2]) < ROUNDING, 0.0, seat.rotation[:, 2])
+            return Plane(geom.spot.body, write_triple(seat.position), write_axis(normal))
+        shape = self._describe(geom)
+        return None if shape is None else shape.touch(geom.spot.body, self.draft.writer.placement(shape.pose))
+
+    def _combine(self, pair: _Pair) -> float | None:
         """Return the coefficient of sliding friction between two geoms; None without friction."""
         numbers = [
-            (self._number(x, "priority", 0.0), self._number(x, "condim", 3.0), self._slide(x)) for x in (geom, plane)
+            (self._number(x, "priority", 0.0), self._number(x, "condim", 3.0), self._slide(x.element, x.attributes))
+            for x in (pair.first, pair.other)
         ]
         first = max(priority for priority, _, _ in numbers)
         taken = [(condim, sliding) for priority, condim, sliding in numbers if priority == first]
-        coefficient = max(sliding for _, sliding in taken)
-        return coefficient if max(condim for condim, _ in taken) > 1 and coefficient > 0 else None
+        condim, coefficient = max(condim for condim, _ in taken), max(sliding for _, sliding in taken)
+        if pair.given is not None:
+            element, attributes = pair.given
+            condim = self.findings.number(element, "condim", condim, attributes)
+            if "friction" in attributes:
+                coefficient = self._slide(element, attributes)
+        return coefficient if condim > 1 and coefficient > 0 else None
 
-    def _slide(self, geom: Geom) -> float:
-        words = geom.attributes.get("friction", "").split()
+    def _slide(self, element: Element, attributes: Mapping[str, str]) -> float:
+        words = attributes.get("friction", "").split()
         if not words:
             return SLIDING
-        return self.findings.number(geom.element, "friction", SLIDING, {"friction": words[0]})
+        return self.findings.number(element, "friction", SLIDING, {"friction": words[0]})
 
     def _number(self, geom: Geom, key: str, usual: float) -> float:
         return self.findings.number(geom.element, key, usual, geom.attributes)
+
+
+def _order(first: Geom, other: Geom, given: tuple[Element, Mapping[str, str]] | None = None) -> _Pair:
+    """Put first the geom that moves, and that is not a plane."""
+    return _Pair(other, first, given) if first.stands or first.shape == "plane" else _Pair(first, other, given)
+
+
+def _is_of_solids(shape: _Shape | None, other: Geom) -> bool:
+    """Return whether two solids touch at points that follow from their pose."""
+    if shape is None or other.shape == "plane":
+        return False
+    return shape.size is not None or bool(shape.points) or other.shape in ("mesh", "cylinder")
 
 
 def _list_rims(radius: float, half: float) -> Iterator[tuple[float, ...]]:

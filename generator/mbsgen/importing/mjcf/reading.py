@@ -22,7 +22,7 @@ from mbsgen.importing.drafting import Draft, Move, damp, describe_friction, list
 from mbsgen.importing.findings import Findings
 from mbsgen.importing.markup import Element
 from mbsgen.importing.mjcf.actuators import JOINTS, TERMS, read_actuators, read_polynomial
-from mbsgen.importing.mjcf.contacts import Contacts, Geom
+from mbsgen.importing.mjcf.contacts import Contacts, Geom, Welded
 from mbsgen.importing.mjcf.equalities import Coordinate, Place, Register, add_equalities, list_sites
 from mbsgen.importing.mjcf.geometry import SHAPES, SIZES, SPANNED, WEIGHTLESS, make_solid
 from mbsgen.importing.mjcf.geoms import (
@@ -95,7 +95,7 @@ class _Waiting:
     placed: _Placed
     carrier: Place
     is_top: bool  # a body of the world
-    is_still: bool  # nothing below it moves
+    welded: Welded  # to what carries it
 
 
 class _Scene:
@@ -122,7 +122,16 @@ class _Scene:
         self._reference = Reference()
         self._times: dict[int, tuple[float, ...]] = {}  # time constants and ratios of damping
         self._degrees: dict[int, list[int]] = {}  # numbers in the reference, by the identities of joints
-        self._contacts = Contacts(self._draft, findings, self._measure, self._enclose, self._read_pose)
+        self._contacts = Contacts(
+            self._draft,
+            findings,
+            self._defaults,
+            self._measure,
+            self._enclose,
+            self._read_pose,
+            filters_parents="filterparent" not in self._settings.disabled,
+        )
+        self._welds = 0  # moving bodies, or groups of them without joints between each other
 
     def read(self) -> Imported:
         """Read the file, and complete the model."""
@@ -168,7 +177,7 @@ class _Scene:
     def _add_bodies(self, world: Element) -> None:
         base = self._defaults.check(world, world.attributes.get("childclass", MAIN))
         waiting: list[_Waiting] = []
-        self._add_children(world, Place(Spot(BASE, ORIGIN), ORIGIN), base, waiting, is_still=True)
+        self._add_children(world, Place(Spot(BASE, ORIGIN), ORIGIN), base, waiting, Welded())
         while waiting:
             self._add_body(waiting.pop(), waiting)
 
@@ -179,8 +188,11 @@ class _Scene:
         pose = carrier.spot.pose @ around @ step
         parts = [*self._unframe(body, ORIGIN, active)]
         moves, anchor = self._read_moves(parts, pose, is_top=this.is_top)
-        is_still = this.is_still and not moves
-        solid = self._read_solid(parts, is_still=is_still).scaled(self._scale).shifted(anchor)
+        welded = this.welded
+        if moves:
+            self._welds += 1
+            welded = Welded(self._welds, this.welded.number)
+        solid = self._read_solid(parts, is_still=welded.number == 0).scaled(self._scale).shifted(anchor)
         name = body.attributes.get("name", "")
         first = ORIGIN if self._is_free(parts) else pose
         own = self._draft.add_body(name or "body", parent, first, moves, solid, body)
@@ -193,10 +205,10 @@ class _Scene:
         if name:
             self._draft.add_frame(name, own, inner, body)
             self._register.bodies.setdefault(name, found)
-        self._add_children(body, found, active, waiting, is_still=is_still)
+        self._add_children(body, found, active, waiting, welded)
 
     def _add_children(
-        self, body: Element, carrier: Place, active: str, waiting: list[_Waiting], *, is_still: bool
+        self, body: Element, carrier: Place, active: str, waiting: list[_Waiting], welded: Welded
     ) -> None:
         """Queue the bodies of a body, and add its sites."""
         own, inner = carrier.spot.body, carrier.spot.pose
@@ -204,7 +216,7 @@ class _Scene:
         for part in self._unframe(body, ORIGIN, active):
             element = part.element
             if element.tag == "body":
-                found.append(_Waiting(part, carrier, body.tag == "worldbody", is_still))
+                found.append(_Waiting(part, carrier, body.tag == "worldbody", welded))
             elif element.tag == "site":
                 attributes = self._defaults.resolve(element, part.active)
                 if attributes.get("name") in self._used_sites:
@@ -225,7 +237,7 @@ class _Scene:
                     owner = "world" if body.tag == "worldbody" else body.attributes.get("name", "")
                     attributes = self._defaults.resolve(element, part.active)
                     spot = Spot(own, inner @ part.around)
-                    self._contacts.note(Geom(element, attributes, spot, owner, is_still))
+                    self._contacts.note(Geom(element, attributes, spot, owner, welded))
         waiting += found[::-1]
 
     def _unframe(self, element: Element, around: Pose, active: str) -> Iterator[_Placed]:
@@ -705,11 +717,9 @@ class _Scene:
         count = len(self._contacts.moving)
         if self._choices.contacts is not None:
             self._contacts.add(self._root)
-            for pair in pairs:
-                self._findings.warn(pair, "a pair of geoms is left out: contacts are made by their masks")
         elif count or pairs:
             text = f"{max(count, 2) if pairs else count} of the bodies' geoms may touch others: they pass through"
-            remedy = "--contacts 0 makes contacts with planes, and a model describes others under `contacts`"
+            remedy = "--contacts 0 makes contacts"
             self._findings.sum_up(f"{text}; {remedy}", alters=True)
 
 
