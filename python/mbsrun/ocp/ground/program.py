@@ -65,7 +65,7 @@ class Combination:
         places = len(self.which)
         kind, i, j = np.nonzero(self.matrices)
         chosen = [np.flatnonzero(kind == k) for k in range(len(self.matrices))]
-        entries = np.concatenate([chosen[k] for k in self.which]) if places else np.zeros(0, dtype=np.int64)
+        entries = np.concatenate([_NO_PARAMETERS, *(chosen[k] for k in self.which)])
         place = np.repeat(np.arange(places), [chosen[k].size for k in self.which])
         row, col = place * self.size + i[entries], self.variables[place, j[entries]]
         value = self.matrices[kind[entries], i[entries], j[entries]]

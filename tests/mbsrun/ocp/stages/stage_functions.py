@@ -64,17 +64,18 @@ def compare(
     M = M.tocsc()
     g, J = oracle.constraint(x, p), oracle.jacobian(x, p).tocsr()
     next_states = _select_next_states(data)
+    units = np.array([program.A[[i], [data.variables[j]]][0] if i >= 0 else 1.0 for i, j in _pair(data, next_states)])
     wanted, got, slopes, turned = [], [], [], []
-    for rows, value, slope, sign in (
-        (data.rows_e, found.e, found.de, 1.0),
-        (data.rows_g, found.g, found.dg, 1.0),
-        (data.rows_d, w[next_states] - found.d, _pick(next_states, n) - found.dd, 1.0),
+    for rows, value, slope, scale in (
+        (data.rows_e, found.e, found.de, np.ones(data.rows_e.size)),
+        (data.rows_g, found.g, found.dg, np.ones(data.rows_g.size)),
+        (data.rows_d, w[next_states] - found.d, _pick(next_states, n) - found.dd, units),
     ):
         kept = rows >= 0
         wanted.append(g[rows[kept]])
-        got.append(sign * value[kept])
+        got.append(scale[kept] * value[kept])
         slopes.append(J[rows[kept]])
-        turned.append(sign * sparse.csr_array(slope)[np.flatnonzero(kept)] @ M)
+        turned.append(sparse.diags_array(scale[kept]) @ sparse.csr_array(slope)[np.flatnonzero(kept)] @ M)
         assert np.abs(value[~kept]).max(initial=0.0) < 1e-9, "copies and lifted variables are consistent"
     cost = oracle.objective(x, p)
     values = _measure(np.concatenate([*got, [found.cost]]), np.concatenate([*wanted, [cost]]))
@@ -87,7 +88,7 @@ def compare(
     upper = oracle.hessian(x, p, sigma, lam)
     H_wanted = (upper + sparse.triu(upper, 1).T).toarray()
     ye, yd, yg = (np.where(rows >= 0, lam[rows], 0.0) for rows in (data.rows_e, data.rows_d, data.rows_g))
-    yd = -yd
+    yd = -units * yd
     if lifted.size:
         by_w = sigma * found.gradient + found.de.T @ ye + found.dd.T @ yd + found.dg.T @ yg
         by_w -= _pick(next_states, n).T @ yd
@@ -151,6 +152,11 @@ def _select_next_states(data: StageProgram) -> Array:
             found.append(first + np.arange(kind.nx))
         first += kind.nx + kind.nv
     return np.concatenate(found)
+
+
+def _pair(data: StageProgram, next_states: Array) -> zip[tuple[int, int]]:
+    """Pair the rows of the dynamics with the states that they give, by a coefficient of the program's matrix."""
+    return zip(data.rows_d.tolist(), next_states.tolist(), strict=True)
 
 
 def _pick(chosen: Array, size: int) -> sparse.csc_array:

@@ -253,7 +253,7 @@ class _Mapped:
             return parts
         by_factor = self._by_factor()
         column = replace(by_factor, row=by_factor.col, col=np.zeros_like(by_factor.col))
-        return [*(part.times(x[self.block.factor]) for part in parts), _Values(column, lam * self._apply(x, p))]
+        return [*(part.times(x[self.block.factor]) for part in parts), _Values(column, ca.vec(lam) * self._apply(x, p))]
 
     def hessian(self, x: ca.MX, p: ca.MX, lam: ca.MX) -> list[_Values]:
         """Return the Hessian of lam' F at every place, a part for each pair of inputs; `lam` place by place."""
