@@ -11,7 +11,7 @@ from mbsgen.documents.kinds import expect
 from mbsgen.documents.numbers import read_number
 from mbsgen.documents.places import Data, Finding, Place, abbreviate, lies_under, nearest, refuse, write_path
 from mbsgen.documents.reading import Document, read_bytes, read_document
-from mbsgen.documents.validation import Examination, Section, WrongValueError, examine, take, validate
+from mbsgen.documents.validation import Examination, Read, Section, WrongValueError, examine, take, validate
 
 __all__ = [
     "Data",
@@ -19,6 +19,7 @@ __all__ = [
     "Examination",
     "Finding",
     "Place",
+    "Read",
     "Section",
     "WrongValueError",
     "abbreviate",

@@ -7,15 +7,16 @@ from __future__ import annotations
 
 import copy
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from types import NoneType, UnionType
 from typing import Annotated, Any, Generic, Literal, Self, TypeVar, Union, get_args, get_origin
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler, ValidationError
 from pydantic.fields import FieldInfo
-from pydantic_core import ErrorDetails
+from pydantic_core import CoreSchema, ErrorDetails
+from pydantic_core.core_schema import no_info_plain_validator_function
 
 from mbsgen.documents.places import MAX_FAULTS, Data, Place, abbreviate, lies_under, nearest, refuse, write_path
 from mbsgen.documents.reading import Document
@@ -34,6 +35,23 @@ class Section(BaseModel):
     def __deepcopy__(self, memo: dict[int, Any] | None = None) -> Self:
         """Return the section itself: pydantic copies the default values of keys at each validation."""
         return self
+
+
+@dataclass(frozen=True)
+class Read:
+    """In the annotation of a field: a function reads its value from the file.
+
+    It does as pydantic's PlainValidator, but says nothing of how to write the value: for that, each field would take
+    the schema of all kinds of expressions.
+    """
+
+    read: Callable[[Any], Any]  # raises WrongValueError
+    written: Any  # the type in a file, of which the schema for editors is made
+
+    def __get_pydantic_core_schema__(self, _: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return no_info_plain_validator_function(
+            self.read, json_schema_input_schema=handler.generate_schema(self.written)
+        )
 
 
 class WrongValueError(ValueError):

@@ -11,11 +11,11 @@ import operator
 from dataclasses import replace
 from typing import Annotated, Any, Literal
 
-from pydantic import Discriminator, Field, PlainValidator, Tag
+from pydantic import Discriminator, Field, Tag
 
 from mbsgen import documents
 from mbsgen.algebra.dense import combine, cross, dot, identity, times, transpose
-from mbsgen.documents import Section, WrongValueError, abbreviate
+from mbsgen.documents import Read, Section, WrongValueError, abbreviate
 from mbsgen.expressions import FLOATS, Expression, ExpressionError, evaluate
 from mbsgen.model.model import (
     ONE,
@@ -72,15 +72,11 @@ def read_optional_direction(value: Any) -> Triple | None:
 
 Written = float | str  # a number, or an expression
 WrittenDirection = Literal["x", "y", "z", "-x", "-y", "-z"] | tuple[Written, Written, Written]
-NumberField = Annotated[Expression, PlainValidator(read_number, json_schema_input_type=Written)]
-LimitField = Annotated[Expression | None, PlainValidator(read_limit, json_schema_input_type=Written | None)]
-OptionalNumberField = Annotated[
-    Expression | None, PlainValidator(read_optional_number, json_schema_input_type=Written | None)
-]
-DirectionField = Annotated[Triple, PlainValidator(read_direction, json_schema_input_type=WrittenDirection)]
-OptionalDirectionField = Annotated[
-    Triple | None, PlainValidator(read_optional_direction, json_schema_input_type=WrittenDirection | None)
-]
+NumberField = Annotated[Expression, Read(read_number, Written)]
+LimitField = Annotated[Expression | None, Read(read_limit, Written | None)]
+OptionalNumberField = Annotated[Expression | None, Read(read_optional_number, Written | None)]
+DirectionField = Annotated[Triple, Read(read_direction, WrittenDirection)]
+OptionalDirectionField = Annotated[Triple | None, Read(read_optional_direction, WrittenDirection | None)]
 TripleField = tuple[NumberField, NumberField, NumberField]
 
 
@@ -149,7 +145,7 @@ class QuaternionSection(Section):
 
     quaternion: Annotated[
         tuple[Rotation, ...],
-        PlainValidator(read_quaternion, json_schema_input_type=tuple[Written, Written, Written, Written]),
+        Read(read_quaternion, tuple[Written, Written, Written, Written]),
     ] = Field(examples=[[0.0, 0.0, 0.0, 1.0]], description="x, y, z, w: the scalar last")
 
     @property
@@ -163,7 +159,7 @@ class MatrixSection(Section):
 
     matrix: Annotated[
         tuple[Rotation, ...],
-        PlainValidator(read_matrix, json_schema_input_type=tuple[WrittenRow, WrittenRow, WrittenRow]),
+        Read(read_matrix, tuple[WrittenRow, WrittenRow, WrittenRow]),
     ] = Field(
         examples=[[[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]],
         description="by rows; its columns are the frame's axes",

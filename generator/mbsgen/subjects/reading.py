@@ -7,9 +7,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, PlainValidator
+from pydantic import Field
 
-from mbsgen.documents import Document, Place, Section, abbreviate, examine, read_document, read_number, refuse
+from mbsgen.documents import Document, Place, Read, Section, abbreviate, examine, read_document, read_number, refuse
 from mbsgen.errors import Fault, InputError
 from mbsgen.expressions import FLOATS, Expression, ExpressionError, evaluate
 from mbsgen.importing.findings import Findings
@@ -17,9 +17,7 @@ from mbsgen.importing.markup import Element, read_markup
 from mbsgen.subjects.segments import NAMES
 from mbsgen.subjects.settings import FACTORS, MEASUREMENTS, Measurement, Placing, Segment, Span, Subject, Triple
 
-NumberField = Annotated[
-    Expression, PlainValidator(read_number, json_schema_input_type=float | str), Field(examples=[1.0])
-]
+NumberField = Annotated[Expression, Read(read_number, float | str), Field(examples=[1.0])]
 Axes = Literal["x", "y", "z", "xy", "xz", "yz", "xyz"]
 Axis = Literal["x", "-x", "y", "-y", "z", "-z"]
 LARGEST = 1e3  # of factors, lengths and masses: beyond it a number has another unit

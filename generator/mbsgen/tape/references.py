@@ -79,27 +79,25 @@ class Arithmetic(ABC):
             left = self._find_left(x, y) or self._find_left(y, x)
             if left:
                 return left
-        if abs(x) > abs(y):
-            x, y = y, x
-        if x < 0:
-            return -self._sum(-x, -y)
-        return self._sum(x, y)
-
-    def _sum(self, x: Ref, y: Ref) -> Ref:
-        """Refer to x + y, of x > 0 and |x| <= |y|."""
-        pair = (x, y)
-        ref = self.sums.get(pair)
+        sign, a, b = 1, x, y
+        if a < 0:
+            sign, a, b = -1, -a, -b
+        if (b if b > 0 else -b) < a:  # the smaller node comes first, with a plus
+            a, b, sign = (b, a, sign) if b > 0 else (-b, -a, -sign)
+        ref = self.sums.get((a, b))
         if ref is None:
-            ref = self.sums[pair] = self._write_sum(x, y)
-        return ref
+            ref = self.sums[a, b] = self._write_sum(a, b)
+        return ref if sign > 0 else -ref
 
     def _write_sum(self, x: Ref, y: Ref) -> Ref:
+        """Refer to x + y, of x > 0 and |x| <= |y|."""
         if x == -y:
             return 0
-        if self._fold and (base := self._bases[x]) == self._bases[abs(y)]:
+        bases, node = self._bases, y if y > 0 else -y
+        if self._fold and (base := bases[x]) == bases[node]:
             factor = self.literal(self._factor(x) + self._factor(y))
             return self.mul(factor, base) if base else factor
-        return self._new((ADD, x, y) if y > 0 else (SUB, x, -y))
+        return self._new((ADD, x, y) if y > 0 else (SUB, x, node))
 
     def _find_left(self, x: Ref, y: Ref) -> Ref:
         """Refer to b where y is a sum -x + b, so that x + y = b; return 0 where y is no such sum."""
@@ -114,29 +112,35 @@ class Arithmetic(ABC):
         """Refer to x * y."""
         if x == 0 or y == 0:
             return 0
-        is_positive = (x > 0) == (y > 0)
-        x, y = abs(x), abs(y)
-        pair = (x, y) if x < y else (y, x)
-        ref = self.products.get(pair)
+        is_positive = True
+        if x < 0:
+            x, is_positive = -x, False
+        if y < 0:
+            y, is_positive = -y, not is_positive
+        if x > y:
+            x, y = y, x
+        ref = self.products.get((x, y))
         if ref is None:
-            ref = self.products[pair] = self._write_product(*pair)
+            ref = self.products[x, y] = self._write_product(x, y)
         return ref if is_positive else -ref
 
     def _write_product(self, x: Ref, y: Ref) -> Ref:
         """Refer to x * y, of 0 < x <= y."""
+        bases = self._bases
         if self._fold:
-            if self._bases[y] == 0:
+            if bases[y] == 0:
                 x, y = y, x  # a literal comes first
-            if self._bases[x] == 0:
-                if x == self._one:
-                    return y
-                if y == self._one:
-                    return x
-                base = self._bases[y]
-                if base != y:
-                    factor = self.literal(self._factor(x) * self._factor(y))
-                    return self.mul(factor, base) if base else factor
-        return self._new((MUL, x, y), y if self._bases[x] == 0 else OWN)
+            if bases[x]:
+                return self._new((MUL, x, y))
+            if x == self._one:
+                return y
+            if y == self._one:
+                return x
+            base = bases[y]
+            if base != y:
+                factor = self.literal(self._factor(x) * self._factor(y))
+                return self.mul(factor, base) if base else factor
+        return self._new((MUL, x, y), OWN if bases[x] else y)
 
     def div(self, x: Ref, y: Ref) -> Ref:
         """Refer to x / y; for a literal y, to the product with its inverse."""

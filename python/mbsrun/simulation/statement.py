@@ -13,12 +13,13 @@ from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import AfterValidator, Field, PlainValidator
+from pydantic import AfterValidator, Field
 
 from mbsgen.documents import (
     Data,
     Document,
     Place,
+    Read,
     Section,
     WrongValueError,
     abbreviate,
@@ -100,9 +101,7 @@ def _check_method(name: str) -> str:
     return name
 
 
-NumberField = Annotated[
-    Expression, PlainValidator(read_number, json_schema_input_type=float | str), Field(examples=[1.0])
-]
+NumberField = Annotated[Expression, Read(read_number, float | str), Field(examples=[1.0])]
 VectorField = tuple[NumberField, NumberField, NumberField]
 
 

@@ -14,12 +14,13 @@ from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import AfterValidator, Discriminator, Field, PlainValidator, Tag
+from pydantic import AfterValidator, Discriminator, Field, Tag
 
 from mbsgen.documents import (
     Data,
     Document,
     Place,
+    Read,
     Section,
     WrongValueError,
     abbreviate,
@@ -78,9 +79,7 @@ def _form(value: Any) -> str:
     return "mapping" if isinstance(value, dict) else "number"
 
 
-NumberField = Annotated[
-    Expression, PlainValidator(read_number, json_schema_input_type=float | str), Field(examples=[1.0])
-]
+NumberField = Annotated[Expression, Read(read_number, float | str), Field(examples=[1.0])]
 VectorField = tuple[NumberField, NumberField, NumberField]
 SpreadField = Annotated[  # of all entries, or by name
     Annotated[NumberField, Tag("number")] | Annotated[dict[str, NumberField], Tag("mapping")], Discriminator(_form)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal, Union
 
-from pydantic import Field, PlainValidator
+from pydantic import Field
 
-from mbsgen.documents import Section
+from mbsgen.documents import Read, Section
 from mbsgen.expressions import Number
 from mbsgen.model.contact_laws import SphereLaw
 from mbsgen.model.file.loops import LoopEndSection
@@ -401,7 +401,7 @@ def _read_tyre_name(value: Any) -> str:
     return read_file_name(value, "road.tir", (".tir",))
 
 
-TyreFileField = Annotated[str, PlainValidator(_read_tyre_name, json_schema_input_type=str)]
+TyreFileField = Annotated[str, Read(_read_tyre_name, str)]
 
 
 class LengthsSection(Section):

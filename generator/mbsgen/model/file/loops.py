@@ -9,9 +9,9 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, PlainValidator
+from pydantic import Field
 
-from mbsgen.documents import Section, WrongValueError, abbreviate, nearest
+from mbsgen.documents import Read, Section, WrongValueError, abbreviate, nearest
 from mbsgen.model.model import BASE, UNITS, ZERO, Constraint, Loop, LoopEnd
 from mbsgen.model.sections import DirectionField, NumberField, PlacementSection
 from mbsgen.model.tree import Cut
@@ -55,7 +55,7 @@ def read_cut(value: Any) -> Cut:
     raise WrongValueError(f"found {abbreviate(value)}", remedy)
 
 
-CutField = Annotated[Cut, PlainValidator(read_cut, json_schema_input_type=Word)]
+CutField = Annotated[Cut, Read(read_cut, Word)]
 
 
 class LoopEndSection(PlacementSection):

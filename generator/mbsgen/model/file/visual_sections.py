@@ -11,9 +11,9 @@ from abc import ABC, abstractmethod
 from pathlib import PurePosixPath
 from typing import Annotated, Any, Literal, Union
 
-from pydantic import Discriminator, Field, PlainValidator, Tag
+from pydantic import Discriminator, Field, Tag
 
-from mbsgen.documents import WrongValueError, abbreviate
+from mbsgen.documents import Read, WrongValueError, abbreviate
 from mbsgen.expressions import Expression
 from mbsgen.model.model import ONE, Visual
 from mbsgen.model.sections import NumberField, PlacementSection, TripleField, Written, read_number
@@ -61,11 +61,11 @@ def read_scale(value: Any) -> tuple[Expression, ...]:
     return (read_number(value),) * 3
 
 
-MeshField = Annotated[str, PlainValidator(read_mesh_name, json_schema_input_type=str)]
-ColorField = Annotated[str, PlainValidator(read_color, json_schema_input_type=str)]
+MeshField = Annotated[str, Read(read_mesh_name, str)]
+ColorField = Annotated[str, Read(read_color, str)]
 ScaleField = Annotated[
     tuple[Expression, ...],
-    PlainValidator(read_scale, json_schema_input_type=Written | tuple[Written, Written, Written]),
+    Read(read_scale, Written | tuple[Written, Written, Written]),
 ]
 
 

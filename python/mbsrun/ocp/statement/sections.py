@@ -7,9 +7,10 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import AfterValidator, Discriminator, Field, PlainValidator, Tag
+from pydantic import AfterValidator, Discriminator, Field, Tag
 
 from mbsgen.documents import (
+    Read,
     Section,
     WrongValueError,
     abbreviate,
@@ -110,10 +111,10 @@ def _form_of_end(value: Any) -> str:
 
 
 Written = float | str  # a number, or an expression
-NumberField = Annotated[Expression, PlainValidator(read_number, json_schema_input_type=Written), Field(examples=[1.0])]
+NumberField = Annotated[Expression, Read(read_number, Written), Field(examples=[1.0])]
 LimitField = Annotated[
     Expression | None,
-    PlainValidator(lambda v: None if v is None else read_number(v), json_schema_input_type=Written | None),
+    Read(lambda v: None if v is None else read_number(v), Written | None),
 ]
 TripleField = tuple[NumberField, NumberField, NumberField]
 RangeField = tuple[LimitField, LimitField]  # null: no bound
@@ -127,9 +128,7 @@ RestField = Annotated[  # of all coordinates, or of some, by name; null: not giv
 NamesField = Annotated[  # of some, or by name
     Annotated[tuple[str, ...], Tag("list")] | Annotated[dict[str, str], Tag("mapping")], Discriminator(_form)
 ]
-FormulaField = Annotated[
-    str, PlainValidator(_read_formula, json_schema_input_type=Written), Field(examples=["q_NAME**2"])
-]
+FormulaField = Annotated[str, Read(_read_formula, Written), Field(examples=["q_NAME**2"])]
 RangesField = Annotated[  # the same for all, or by name
     Annotated[RangeField, Tag("list")] | Annotated[dict[str, RangeField], Tag("mapping")], Discriminator(_form)
 ]
