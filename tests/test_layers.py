@@ -34,7 +34,7 @@ class Package:
 MBSGEN = Package(
     source=ROOT / "generator" / "mbsgen",
     layers=(
-        "errors resources roles style algebra",
+        "errors quick_classes resources roles style algebra",
         "manifest expressions",
         "machine",
         "documents help",
@@ -289,6 +289,7 @@ MBSRUN = Package(
     foreign=("sympy", "mbsgen", "studies", "benchmarks"),
     guests=(
         "mbsgen.errors",
+        "mbsgen.quick_classes",
         "mbsgen.resources",
         "mbsgen.manifest",
         "mbsgen.machine",

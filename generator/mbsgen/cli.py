@@ -16,6 +16,7 @@ from click.shell_completion import CompletionItem
 from mbsgen import __version__
 from mbsgen.errors import MbsError
 from mbsgen.help import CommandsBySubject, CommandsOnDemand, Entry
+from mbsgen.quick_classes import quick_data_classes
 from mbsgen.style import spare_docstrings
 
 PACKAGES = ("sympy", "mpmath", "jinja2", "pydantic", "pyyaml", "click", "rich")  # that `--version` shows
@@ -116,7 +117,8 @@ def main() -> None:
     warnings.showwarning = _show_warning
     spare_docstrings()
     try:
-        cli(prog_name="mbsgen")
+        with quick_data_classes():
+            cli(prog_name="mbsgen")
     except MbsError as error:
         click.echo(f"mbsgen: {error}" if "\n" not in str(error) else str(error), err=True)
         sys.exit(BAD_INPUT)

@@ -10,6 +10,7 @@ import click
 
 from mbsgen.errors import MbsError
 from mbsgen.help import CommandsBySubject, CommandsOnDemand, Entry
+from mbsgen.quick_classes import quick_data_classes
 from mbsgen.style import spare_docstrings
 
 BAD_INPUT = 2  # exit code: an unacceptable file or argument
@@ -100,7 +101,8 @@ def main() -> None:
     atexit.register(gc.freeze)  # the last search of a process, whose memory is given back as a whole
     spare_docstrings()
     try:
-        cli()
+        with quick_data_classes():
+            cli()
     except MbsError as error:
         click.echo(str(error), err=True)
         sys.exit(BAD_INPUT)

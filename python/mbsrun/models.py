@@ -16,6 +16,7 @@ from pathlib import Path, PurePath
 from typing import Any
 
 from mbsgen import resources
+from mbsgen.quick_classes import quick_data_classes
 from mbsrun.cache import MODELS, find_or_make
 
 INCLUSION = re.compile(rb"""<include\s[^>]*?\bfile\s*=\s*["']([^"']*)""")  # of MJCF
@@ -62,7 +63,8 @@ def find_folder(path: Path, extent: Extent = WHOLE) -> Path:
         return path
 
     def make(building: Path) -> Path:
-        from mbsgen.pipeline import generate  # only here, and late: kernels are called without SymPy
+        with quick_data_classes():
+            from mbsgen.pipeline import generate  # only here, and late: kernels are called without SymPy
 
         generate(path, building / "generated", _make_options(extent))
         if fingerprint(path, extent) != name:

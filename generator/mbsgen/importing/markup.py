@@ -11,7 +11,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
 from xml.parsers import expat
-from xml.sax.saxutils import escape, quoteattr
 
 from mbsgen.documents import abbreviate, read_bytes
 from mbsgen.errors import Fault, InputError
@@ -87,6 +86,8 @@ def write_markup(root: Element) -> str:
 
 
 def _write(element: Element, indent: str) -> Iterator[str]:
+    from xml.sax.saxutils import escape, quoteattr  # here: it loads the library of web requests, and few write markup
+
     tag = element.tag + "".join(f" {key}={quoteattr(value)}" for key, value in element.attributes.items())
     if not element.children:
         yield f"{indent}<{tag}>{escape(element.text)}</{element.tag}>" if element.text else f"{indent}<{tag} />"

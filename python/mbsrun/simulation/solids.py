@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull
 
 from mbsgen.manifest import Manifest, RigidPair, Solid
 from mbsrun.kernel import Kernels
@@ -56,6 +55,8 @@ def make_shape(solid: Solid) -> Shape:
     points = np.array(solid.points)
     if len(points) <= 2:
         return Shape(points, (), np.zeros((0, 3)), ((0, 1, -1, -1),) * (len(points) - 1), solid.radius)
+    from scipy.spatial import ConvexHull  # here: it takes long to load, and few simulations need it
+
     hull = ConvexHull(points)
     used = np.unique(hull.simplices)
     kept, size = points[used], float(np.abs(points - points.mean(axis=0)).max())
