@@ -42,7 +42,7 @@ def _make_repr(fields: Sequence[dataclasses.Field[Any]], globals: Any) -> Method
     return wrapped
 
 
-def _make_setters(cls: type, fields: Sequence[dataclasses.Field[Any]], globals: Any) -> tuple[Method, Method]:  # noqa: ARG001
+def _make_setters(cls: Any, fields: Sequence[dataclasses.Field[Any]], globals: Any) -> tuple[Method, Method]:  # noqa: ARG001
     names = frozenset(field.name for field in fields)
 
     def __setattr__(self: Any, name: str, value: Any) -> None:  # noqa: N807
@@ -60,7 +60,8 @@ def _make_setters(cls: type, fields: Sequence[dataclasses.Field[Any]], globals: 
 
 def _make_comparison(name: str, op: str, self_tuple: str, other_tuple: str, globals: Any) -> Method:
     if op != "==":
-        return _COMPARE(name, op, self_tuple, other_tuple, globals=globals)
+        compiled: Method = _COMPARE(name, op, self_tuple, other_tuple, globals=globals)
+        return compiled
     read = _read_all([part.removeprefix("self.") for part in self_tuple.strip("(),").split(",") if part])
 
     def __eq__(self: Any, other: Any) -> Any:  # noqa: N807
