@@ -20,7 +20,7 @@ from mbsgen.model.tree import Kind, Tree
 from mbsgen.procedure.procedure import Computation, Procedure, straight
 from mbsgen.procedure.splitting import hoist
 from mbsgen.request import EVERY_FUNCTION, OptionError, Request
-from mbsgen.roles import ACCELERATING, ON_REQUEST, QUICKEST, Order, Role
+from mbsgen.roles import ACCELERATING, ON_REQUEST, QUICKEST, Order, Role, choose_quickest
 from mbsgen.tape.passes import keep_results, merge, set_zero
 from mbsgen.tape.ports import Function, is_of
 from mbsgen.tape.types import Tape
@@ -77,15 +77,16 @@ def list_functions(tree: Tree, request: Request) -> tuple[str, ...]:
 
 
 def _name_quickest(tree: Tree, request: Request) -> Request:
-    """Replace the name of the quickest accelerations by the name of the form with the fewest operations."""
+    """Replace the name of the quickest accelerations by the name of the form."""
     if not any(QUICKEST in names for names in (request.functions or (), request.optional, request.values)):
         return request
 
     def replace_in(names: tuple[str, ...]) -> tuple[str, ...]:
         return tuple(dict.fromkeys(best if name == QUICKEST else name for name in names))
 
-    forms = {name: straight(FUNCTIONS[name].build(tree, request.reductions)) for name in ACCELERATING}
-    best = min(forms, key=lambda name: count_own(forms[name]))
+    best = choose_quickest(
+        {name: count_own(straight(FUNCTIONS[name].build(tree, request.reductions)))[0] for name in ACCELERATING}
+    )
     functions = None if request.functions is None else replace_in(request.functions)
     return replace(
         request, functions=functions, optional=replace_in(request.optional), values=replace_in(request.values)

@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, SerializerFunctionWrapHandler, Valid
 from pydantic_core import from_json
 
 from mbsgen.errors import Fault, InputError
-from mbsgen.roles import ACCELERATING, QUICKEST, Axis, Order, Role, name_kernel
+from mbsgen.roles import ACCELERATING, QUICKEST, Axis, Order, Role, choose_quickest, name_kernel
 
 FORMAT = 2
 FILE_NAME = "manifest.json"
@@ -562,11 +562,11 @@ class Manifest(_Entry):
 
     @property
     def quickest(self) -> Mapping[str, Kernel]:
-        """The accelerations with the fewest operations, and their derivatives, by the names `exp`, `jac_exp`, …"""
-        forms = [k for name in ACCELERATING for k in self.kernels if (k.base, k.order) == (name, Order.VALUE)]
-        if not forms:
+        """The quicker accelerations, and their derivatives, by the names `exp`, `jac_exp`, …"""
+        flops = {k.base: k.flops.paper for k in self.kernels if k.base in ACCELERATING and k.order is Order.VALUE}
+        if not flops:
             return {}
-        best = min(forms, key=lambda kernel: kernel.flops.paper).base
+        best = choose_quickest(flops)
         return {name_kernel(QUICKEST, k.order): k for k in self.kernels if k.base == best}
 
     @property

@@ -1,4 +1,4 @@
-"""`exp`: the accelerations without a number are the form with the fewest operations, wherever a kernel is named."""
+"""`exp`: the accelerations without a number are the quicker form, wherever a kernel is named."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ def mechanism(request: pytest.FixtureRequest) -> Mechanism:
     return mbsrun.load(MODELS / f"{request.param}.yaml", extent=Extent((*ACCELERATING, "impl"), 1))
 
 
-def test_the_form_with_fewer_operations_is_taken(mechanism: Mechanism) -> None:
-    """By the counts of the manifest; derivatives are of the same form."""
+def test_the_quicker_form_is_taken(mechanism: Mechanism) -> None:
+    """By the counts of the manifest, of which EXP2 wants a tenth fewer; derivatives are of the same form."""
     forms = {name: mechanism.describe(name).flops.paper for name in ACCELERATING}
-    best = min(forms, key=lambda name: forms[name])
+    best = "exp2" if 10 * forms["exp2"] < 9 * forms["exp1"] else "exp1"
     assert mechanism.describe("exp").name == best
     assert mechanism.describe("jac_exp").name == f"jac_{best}"
     assert mechanism.manifest.kernel("lin_exp").base == best
@@ -51,7 +51,7 @@ def test_it_is_called_as_any_kernel(mechanism: Mechanism) -> None:
 
 @pytest.mark.parametrize("name", ["double_pendulum", "arm_pendulum", "branched"])
 def test_one_form_is_generated_where_it_is_asked_for_by_this_name(name: str, tmp_path: Path) -> None:
-    """The form that has fewer operations where both are generated."""
+    """The form that is the quicker one where both are generated."""
     model = MODELS / f"{name}.yaml"
     both, one = (
         generate(model, tmp_path / str(k), Options(functions=functions, derivatives=0)).manifest

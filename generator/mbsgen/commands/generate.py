@@ -90,7 +90,7 @@ SECTIONS = {
     "--functions",
     metavar="NAME,...",
     help=f"Only these functions, with their derivatives: {', '.join(FUNCTIONS)}; by default all. {QUICKEST} means "
-    f"{' or '.join(sorted(ACCELERATING))}, whichever has fewer operations.",
+    f"{' or '.join(sorted(ACCELERATING))}, whichever is quicker.",
 )
 @click.option(
     "--derivatives",
