@@ -24,6 +24,7 @@ from mbsrun.simulation.drive import hold
 from mbsrun.simulation.memory import load_functions
 from mbsrun.simulation.simulate import InsideError
 from mbsrun.simulation.solids import CDEF, Pairs
+from tests.mbsrun.simulation.corners import draw_points, make_box
 
 Array = NDArray[np.float64]
 Make = Callable[[str], Mechanism]
@@ -59,16 +60,6 @@ def step(kernels: Mechanism, q: object, qd: object, duration: float, h: float, *
 
 
 # --- distances --------------------------------------------------------------------------------------------------------
-
-
-def draw_points(rng: np.random.Generator, count: int, size: float) -> tuple[tuple[float, float, float], ...]:
-    points = rng.normal(size=(count, 3))
-    return tuple(map(tuple, (points * size / np.linalg.norm(points, axis=1)[:, None]).tolist()))
-
-
-def make_box(edges: Array) -> tuple[tuple[float, float, float], ...]:
-    signs = np.array([(a, b, c) for a in (-1, 1) for b in (-1, 1) for c in (-1, 1)])
-    return tuple(map(tuple, (signs * edges / 2).tolist()))
 
 
 def draw_solid(rng: np.random.Generator, kind: str) -> Solid:

@@ -255,3 +255,15 @@ def test_dry_friction_needs_a_mode_and_stops_do_not_stick(tmp_path: Path) -> Non
     file = write(tmp_path, DOCK, DOCKING.replace("{b: upper}", "{b: stick}"))
     with pytest.raises(InputError, match="joint b has no dry friction, so it has no mode stick"):
         read_phased_problem(file, load_on_demand)
+
+
+def test_the_signal_of_a_mode_is_not_given_and_other_signals_are(tmp_path: Path) -> None:
+    """The mode gives the force that holds a joint; a signal that the model reads elsewhere stays the problem's."""
+    model = STUCK + "  - {name: cart, joint: {type: prismatic, axis: y, force: 2*pull}, mass: 1}\nsignals: [pull]\n"
+    problem, _ = read_phased_problem(write(tmp_path, model, SLIDING + "signals: {pull: 0.5}\n"), load_on_demand)
+    given = {part.wrench: part.expression for part in problem.phases[0].problem.wrenches}
+    assert given == {"pull": "0.5", "hold_block": "-2.0"}
+    with pytest.raises(InputError) as caught:
+        read_phased_problem(write(tmp_path, STUCK, SLIDING + "signals: {hold_block: 1}\n"), load_on_demand)
+    (found,) = caught.value.faults
+    assert (found.path, found.finding) == ("signals.hold_block", "the mode of block gives it")
