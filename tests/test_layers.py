@@ -219,6 +219,7 @@ MBSRUN = Package(
         "ocp.showing.files",
         "ocp.showing",
         "ocp.cases.programs",
+        "ocp.cases.placing",
         "ocp.cases.cases",
         "ocp.cases.told",
         "ocp.cases.dispatch",

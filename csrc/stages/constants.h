@@ -79,7 +79,7 @@
 #define POLISHING_STEPS 4             /* of Newton's method, in each of */
 #define POLISHING_GAIN ((real)0.1)    /* that a further step must lower the errors to */
 #define POLISHING_TRIES 6             /* falls of bounds that give and of the barrier, */
-#define POLISHED_RIGHT ((real)0.1)    /* of a change of the cost: how wrong its first order may be, */
+#define POLISHED_RIGHT ((real)0.1)    /* of the undecided cost: a change may differ as much from the one by multipliers, */
 #define POLISHED_COST ((real)1e-2)    /* for a cost of this size at least */
 
 /* scales */

@@ -13,23 +13,15 @@
 
 #include <string.h>
 
-/* What bounds change the cost by, to first order: multipliers times ways to the caller's bounds. */
-typedef struct {
-    real rise; /* of the cost, where all went there */
-    real all;  /* sum of the largest parts: of the amounts that bounds give, and of the distances from them */
-} share;
-
-/* Add what a bound changes the cost by, if it binds. A barrier that stays is part of the problem. */
-static void add_share(share *sum, real distance, real z, real give, int stays)
+/* The largest part of the cost that a bound may decide, if it binds: by the amount that it gives, and by the distance from
+ * it. A barrier that stays is part of the problem. */
+static real share_of(real distance, real z, real give, int stays)
 {
-    const real way = give - distance;
     if (!(z > distance))
-        return;
-    sum->rise += z * way;
+        return 0;
     if (stays)
-        sum->all += way > 0 ? z * way : 0;
-    else
-        sum->all += z * mbs_stages_larger(give, distance);
+        return give > distance ? z * (give - distance) : 0;
+    return z * mbs_stages_larger(give, distance);
 }
 
 /* The barrier parameter after a fall: as low as is worth it for the tolerance, and not below the requested one. */
@@ -40,19 +32,19 @@ static real lower_barrier(const mbs_stages *s, real mu, real fall)
     return lower < mu ? lower : mu;
 }
 
-/* What bounds that give by `part` of their size, and the barrier, change the cost by. */
-static share find_share(const mbs_stages *s, const mbs_stages_phase *p, real part)
+/* The most that bounds that give by `part` of their size, and the barrier, change the cost by. */
+static real find_share(const mbs_stages *s, const mbs_stages_phase *p, real part)
 {
     const int stays = !(lower_barrier(s, p->mu, 0) < p->mu);
-    share sum = {0, 0};
+    real sum = 0;
     int i;
     for (i = 0; i < p->size; ++i) {
         if (s->fixed[i])
             continue;
         if (mbs_stages_has(p->lower[i]))
-            add_share(&sum, p->x[i] - p->lower[i], p->zl[i], part * mbs_stages_bound_size(p->lower[i]), stays);
+            sum += share_of(p->x[i] - p->lower[i], p->zl[i], part * mbs_stages_bound_size(p->lower[i]), stays);
         if (mbs_stages_has(p->upper[i]))
-            add_share(&sum, p->upper[i] - p->x[i], p->zu[i], part * mbs_stages_bound_size(p->upper[i]), stays);
+            sum += share_of(p->upper[i] - p->x[i], p->zu[i], part * mbs_stages_bound_size(p->upper[i]), stays);
     }
     return sum;
 }
@@ -152,24 +144,36 @@ static int follow(mbs_stages *s, mbs_stages_phase *p)
     return -1;
 }
 
-/* Whether the cost is off by less than before, and rose as its share said: else bounds in their last digits decide it,
- * and where it would end is not known. */
-static int is_nearer(share before, share after, real from, real to)
+/* The change of the cost since the point that was kept, as multipliers have it: their mean times the ways of numbers. A
+ * bound that ceases to bind, or begins to, counts as far as it does. */
+static real find_change(const mbs_stages *s, const mbs_stages_phase *p)
 {
-    const real wrong = real_abs(to - from - (before.rise - after.rise));
-    return after.all < before.all && wrong <= POLISHED_RIGHT * before.all + SUM_ROUNDING * real_abs(to);
+    const mbs_stages_watchdog *w = &p->watchdog;
+    real sum = 0;
+    int i;
+    for (i = 0; i < p->size; ++i)
+        if (!s->fixed[i])
+            sum += (p->zl[i] + w->zl[i] - p->zu[i] - w->zu[i]) / 2 * (p->x[i] - w->x[i]);
+    return sum;
+}
+
+/* Whether the cost is off by less than before, and moved as its multipliers say: else bounds in their last digits decide
+ * it, and where it would end is not known. */
+static int is_nearer(real before, real after, real moved, real change, real cost)
+{
+    return after < before && real_abs(moved - change) <= POLISHED_RIGHT * before + SUM_ROUNDING * real_abs(cost);
 }
 
 /* Let the barrier fall by a factor, and bounds give by `after` of their size; -1: it fails, and all is as before. */
 static int sharpen(mbs_stages *s, mbs_stages_phase *p, real before, real after, real fall)
 {
-    const share own = find_share(s, p, before);
+    const real own = find_share(s, p, before);
     const real cost = p->cost, mu = p->mu, tau = p->tau;
     keep(s, p, 0);
     p->mu = lower_barrier(s, mu, fall);
     p->tau = mbs_stages_larger(1 - p->mu, s->options.tau_min);
     tighten(s, p, before, after);
-    if (follow(s, p) == 0 && is_nearer(own, find_share(s, p, after), cost, p->cost))
+    if (follow(s, p) == 0 && is_nearer(own, find_share(s, p, after), p->cost - cost, find_change(s, p), p->cost))
         return 0;
     keep(s, p, 1);
     p->cost = cost;
@@ -184,7 +188,7 @@ static int sharpen(mbs_stages *s, mbs_stages_phase *p, real before, real after, 
  * sample in a closed loop are not worth its time. */
 static int is_off(const mbs_stages *s, const mbs_stages_phase *p, real part, real most)
 {
-    const real cost = real_abs(p->cost), off = find_share(s, p, part).all;
+    const real cost = real_abs(p->cost), off = find_share(s, p, part);
     if (mbs_stages_continues(s))
         return off > MBS_STAGES_SIZABLE * mbs_stages_larger(cost, s->cost_before);
     return off > most * mbs_stages_larger(cost, POLISHED_COST);

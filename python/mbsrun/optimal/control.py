@@ -15,7 +15,7 @@ import casadi as ca
 from mbsgen.documents import Data, abbreviate, read_document
 from mbsgen.errors import Fault, InputError
 from mbsrun.kernel import is_count
-from mbsrun.ocp.cases.cases import Case, Outcome
+from mbsrun.ocp.cases.cases import AnyCase, Case, Outcome
 from mbsrun.ocp.cases.programs import Programs
 from mbsrun.ocp.ground.no_mechanism import NO_MECHANISM
 from mbsrun.ocp.ground.plant import Plant
@@ -249,7 +249,7 @@ class OptimalControl(Numbered):
             start = copy._find_guess(guess)
             return Case(list_one(copy.value), None if start is None else Guess((start,)), check)
 
-        def read(_: Case, outcome: Outcome) -> Solved | Unsolved:
+        def read(_: AnyCase, outcome: Outcome) -> Solved | Unsolved:
             found = read_one(outcome)
             return Unsolved(found) if isinstance(found, Failure) else Solved(found, self.plant)
 

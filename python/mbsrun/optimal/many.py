@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Any
@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 
 from mbsgen.documents import Data, abbreviate
 from mbsrun.kernel import is_count
-from mbsrun.ocp.cases.cases import Case, Found, Outcome, solve_cases
+from mbsrun.ocp.cases.cases import AnyCase, Case, Form, Found, LateCase, Outcome, solve_cases
 from mbsrun.ocp.cases.layers import Place, find_starts
 from mbsrun.ocp.cases.neighbours import solve_neighbours
+from mbsrun.ocp.cases.placing import KEYS, choose_stated, find_special, is_plain, list_limits
 from mbsrun.ocp.cases.programs import identify
 from mbsrun.ocp.problem.phases import Plants
 from mbsrun.ocp.solution.solution import Run
@@ -198,12 +199,33 @@ def _refuse(name: str, place: str, finding: str, remedy: str) -> Any:
     raise ProblemError(name, [(place, finding, remedy)])
 
 
-def list_places(values: Sequence[Values], cases: Sequence[Case]) -> list[Place]:
+@dataclass(frozen=True)
+class Numbers:
+    """The numbers and the texts among the values of a case, by their paths."""
+
+    names: tuple[str, ...]
+    values: tuple[float, ...]
+    parts: tuple[int, ...]  # of each number: of the key that it belongs to
+    texts: tuple[tuple[str, str], ...]
+
+    @property
+    def kind(self) -> Hashable:
+        """Return what cases of one kind share."""
+        return self.names, self.texts
+
+
+def list_places(values: Sequence[Values], cases: Sequence[AnyCase]) -> list[Place]:
     """Return what distinguishes cases: the numbers among their values; texts and structures make kinds."""
-    return [_place(own, case) for own, case in zip(values, cases, strict=True)]
+    return [_place(read_numbers(own), case) for own, case in zip(values, cases, strict=True)]
 
 
-def _place(values: Values, case: Case) -> Place:
+def _place(own: Numbers, case: AnyCase) -> Place:
+    stated = case.form.cases[0] if isinstance(case, LateCase) else case
+    return Place((own.names, own.texts, identify(stated.problem)), own.values, own.parts)
+
+
+def read_numbers(values: Values) -> Numbers:
+    """Read the numbers and the texts among the values of a case."""
     numbers, texts = dict[str, float](), dict[str, str]()
     parts: dict[str, int] = {}
     for part, (key, value) in enumerate(sorted(values.items())):
@@ -214,8 +236,8 @@ def _place(values: Values, case: Case) -> Place:
             else:
                 texts[path] = repr(entry)
     names = sorted(numbers)
-    kind = (tuple(names), tuple(sorted(texts.items())), identify(case.problem))
-    return Place(kind, tuple(numbers[name] for name in names), tuple(parts[name] for name in names))
+    found = tuple(numbers[name] for name in names)
+    return Numbers(tuple(names), found, tuple(parts[name] for name in names), tuple(sorted(texts.items())))
 
 
 def _list_entries(path: str, value: Any) -> Iterator[tuple[str, Any]]:
@@ -240,7 +262,7 @@ class Family:
     plants: Plants
     restate: Callable[[Mapping[str, Data]], Any]  # data -> a problem in Python. Raises ProblemError
     state: Callable[[Any, Any, bool], Case]  # a problem, a guess or None, whether it is checked -> a case
-    read: Callable[[Case, Outcome], Any]  # an outcome as `solve` returns it
+    read: Callable[[AnyCase, Outcome], Any]  # an outcome as `solve` returns it
 
     def list_cases(self, cases: Sequence[Values], guesses: Sequence[Any] | None = None, *, check: bool) -> list[Case]:
         """Return the case of each mapping of values. Raises ProblemError with the faults of the first."""
@@ -249,8 +271,7 @@ class Family:
         found, faults, wrong = list[Case](), list[Line](), 0
         for k, case in enumerate(cases):
             try:
-                problem = self.restate(change(self.name, self.data, case))
-                found.append(self.state(problem, None if guesses is None else guesses[k], check))
+                found.append(self.make_case(case, None if guesses is None else guesses[k], check=check))
             except ProblemError as error:
                 wrong += 1
                 own = [(f"case {k}: {place}", finding, remedy) for place, finding, remedy in error.findings]
@@ -260,6 +281,52 @@ class Family:
         if faults:
             raise ProblemError(self.name, faults)
         return found
+
+    def make_case(self, values: Values, guess: Any | None, *, check: bool) -> Case:
+        """State a case. Raises ProblemError."""
+        return self.state(self.restate(change(self.name, self.data, values)), guess, check)
+
+    def list_near_cases(self, cases: Sequence[Values], *, check: bool) -> list[AnyCase]:
+        """Return the case of each mapping of values, to be solved from neighbours: most of large kinds are late.
+
+        Raises ProblemError with the faults of the first.
+        """
+        kinds: dict[Hashable, list[int]] = {}
+        numbers = [read_numbers(values) for values in cases]
+        for k, own in enumerate(numbers):
+            kinds.setdefault(own.kind, []).append(k)
+        found: dict[int, AnyCase] = {}
+        try:
+            for chosen in kinds.values():
+                every = np.array([numbers[k].values for k in chosen]).reshape(len(chosen), -1)
+                found |= dict(zip(chosen, self._make_kind([cases[k] for k in chosen], every, check=check), strict=True))
+        except ProblemError:
+            return [*self.list_cases(cases, check=check)]
+        return [found[k] for k in range(len(cases))]
+
+    def _make_kind(self, cases: Sequence[Values], numbers: Array, *, check: bool) -> list[AnyCase]:
+        """Return cases of one kind, with numbers (cases, n): late ones beside stated ones. Raises ProblemError."""
+
+        def make(k: int) -> Case:
+            return self.make_case(cases[k], None, check=check)
+
+        chosen = choose_stated(numbers) if numbers.shape[1] and _has_open_keys(cases[0]) else [*range(len(cases))]
+        stated = {k: make(k) for k in (chosen if 2 * len(chosen) <= len(cases) else range(len(cases)))}
+        if len(stated) == len(cases):
+            return [stated[k] for k in range(len(cases))]
+        problems = [case.problem for case in stated.values()]
+        special = find_special(numbers, list_limits(problems[0]))
+        if not all(map(is_plain, problems)) or len({identify(problem) for problem in problems}) > 1:
+            special = [*range(len(cases))]
+        form = Form(tuple(stated.values()), numbers[list(stated)])
+        stated |= {k: make(k) for k in special if k not in stated}
+        late = {k: LateCase(form, numbers[k], partial(make, k), check) for k in range(len(cases)) if k not in stated}
+        return [stated[k] if k in stated else late[k] for k in range(len(cases))]
+
+
+def _has_open_keys(values: Values) -> bool:
+    """Return whether all keys are among the ones whose numbers may be placed."""
+    return all(re.split(r"[.\[]", key)[0] in KEYS for key in values)
 
 
 @dataclass(frozen=True)
@@ -278,12 +345,14 @@ def solve_family(family: Family, over: Over, guesses: Sequence[Any] | None, way:
         _refuse(family.name, "threads", f"found {way.threads}", "give a whole number, 1 or more")
     if way.neighbours and guesses is not None:
         _refuse(family.name, "guesses", "cases start from their neighbours", "leave out guesses, or neighbours")
-    cases, found = family.list_cases(values, guesses, check=way.check), dict[int, Any]()
+    found = dict[int, Any]()
     if way.neighbours:
+        cases = family.list_near_cases(values, check=way.check)
         outcomes: Iterator[tuple[int, Found]] = solve_neighbours(
             cases, find_starts(list_places(values, cases)), family.plants, way.threads
         )
     else:
+        cases = [*family.list_cases(values, guesses, check=way.check)]
         outcomes = solve_cases(cases, family.plants, way.threads)
     for k, outcome in outcomes:
         read = partial(family.read, cases[k])

@@ -16,7 +16,7 @@ import numpy as np
 
 from mbsgen.documents import Data
 from mbsrun.external import load_on_demand
-from mbsrun.ocp.cases.cases import Case, Outcome
+from mbsrun.ocp.cases.cases import AnyCase, Case, Outcome
 from mbsrun.ocp.cases.programs import Programs
 from mbsrun.ocp.ground.plant import Plant
 from mbsrun.ocp.guessing.recorded_phases import find_phased_guess
@@ -320,7 +320,7 @@ class PhasedControl(Numbered):
         def state(copy: PhasedControl, guess: PhasedGuess | None, check: bool) -> Case:
             return Case(copy.value, copy._find_guess(guess), check)
 
-        def read(case: Case, outcome: Outcome) -> SolvedPhases | Unsolved:
+        def read(case: AnyCase, outcome: Outcome) -> SolvedPhases | Unsolved:
             if isinstance(outcome, Failure):
                 return Unsolved(outcome)
             return SolvedPhases(outcome, equip_phases(case.problem, self.plants))

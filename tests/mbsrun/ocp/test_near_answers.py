@@ -43,7 +43,7 @@ class Begin:
 
 
 def make_start(problem: Any, own: Any = None, most: int = 5) -> Any:
-    return SimpleNamespace(problem=problem, own=own or Own(), most_iterations=most)
+    return SimpleNamespace(problem=problem, own=own or Own(), most_iterations=most, instance=None, state=None)
 
 
 # --- groups ---------------------------------------------------------------------------------------------------------

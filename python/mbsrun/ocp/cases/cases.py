@@ -7,11 +7,16 @@ processes changes a result. A case that has no solution, or that its kernels con
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, field
+from functools import cached_property, partial
 
+import numpy as np
+
+from mbsrun.ocp.cases.placing import Placing, crosses, find_placing
 from mbsrun.ocp.cases.programs import Programs
+from mbsrun.ocp.ground.functions import Array
 from mbsrun.ocp.ground.status import BAD_PROBLEM
 from mbsrun.ocp.problem.phases import PhasedProblem, Plants, equip_phases
 from mbsrun.ocp.searching.refinement import refine_phases
@@ -42,10 +47,46 @@ class Case:
 
 
 @dataclass(frozen=True, eq=False)
+class Form:
+    """Stated cases of one kind, and their numbers (cases, n)."""
+
+    cases: tuple[Case, ...]
+    numbers: Array
+
+
+@dataclass(frozen=True, eq=False)
+class LateCase:
+    """A case that is stated when somebody needs more than its numbers; see `placing`."""
+
+    form: Form
+    numbers: Array  # (n,)
+    state: Callable[[], Case]
+    is_checked: bool
+
+    @cached_property
+    def case(self) -> Case:
+        """Return the stated case. Raises ProblemError."""
+        return self.state()
+
+    @property
+    def problem(self) -> PhasedProblem:
+        """Return its problem. Raises ProblemError."""
+        return self.case.problem
+
+    @property
+    def guess(self) -> Guess | PartialGuess | None:
+        """Return what it starts from. Raises ProblemError."""
+        return self.case.guess
+
+
+AnyCase = Case | LateCase
+
+
+@dataclass(frozen=True, eq=False)
 class Try:
     """A case, and the solution that it starts from."""
 
-    case: Case
+    case: AnyCase
     own: Neighbour
     most_iterations: int
 
@@ -69,34 +110,81 @@ class CaseSolver:
 
     plants: Plants
     programs: Programs = field(default_factory=Programs)
+    placings: dict[int, tuple[Form, Placing | None]] = field(default_factory=dict)  # by the identity of their form
 
-    def solve(self, case: Case, note: Note | None = None) -> Outcome:
+    def solve(self, case: AnyCase, note: Note | None = None) -> Outcome:
         """Solve a case; its faults are a failure, too. `note` gets a solution from which neighbours may start."""
+        problem = case.form.cases[0].problem if isinstance(case, LateCase) else case.problem
         try:
-            found = solve_phases(case.problem, self.plants, None, case.guess, self.programs.find, note)
+            problem = case.problem
+            found = solve_phases(problem, self.plants, None, case.guess, self.programs.find, note)
             return read(self._check(case, found))
         except ProblemError as error:
             place, finding, remedy = error.findings[0]
-            return Failure(case.problem, Run(BAD_PROBLEM, 0, 0.0, 0.0), finding, remedy, place)
+            return Failure(problem, Run(BAD_PROBLEM, 0, 0.0, 0.0), finding, remedy, place)
 
     def solve_near(self, tries: Sequence[Try], threads: int = 1) -> list[Near | None]:
         """Solve cases from neighbours' solutions; None where that does not succeed soon."""
         found: list[Near | None] = [None] * len(tries)
         groups: dict[int, tuple[PhasedSolver, list[int], list[NearStart]]] = {}
+        ready = self._place_all(tries)
         for k, one in enumerate(tries):
-            try:
-                ready = prepare_near(one.case.problem, self.plants, one.own, self.programs.find)
-            except ProblemError:
-                continue
-            if not isinstance(ready, Failure):
-                _, numbers, starts = groups.setdefault(id(ready.solver), (ready.solver, [], []))
+            known = ready[k] if k in ready else self._prepare(one)
+            if known is not None:
+                _, numbers, starts = groups.setdefault(id(known[0]), (known[0], [], []))
                 numbers.append(k)
-                starts.append(NearStart(ready.problem, one.own, one.most_iterations))
+                starts.append(known[1])
         for solver, numbers, starts in groups.values():
             for k, answer in zip(numbers, self._try(solver, starts, threads), strict=True):
                 if answer is not None:
                     found[k] = Near(self._check(tries[k].case, answer.found), answer.neighbour)
         return found
+
+    def _prepare(self, one: Try) -> tuple[PhasedSolver, NearStart] | None:
+        """State a case for a start from a neighbour; None where that is no use."""
+        try:
+            ready = prepare_near(one.case.problem, self.plants, one.own, self.programs.find)
+        except ProblemError:
+            return None
+        if isinstance(ready, Failure):
+            return None
+        return ready.solver, NearStart(ready.problem, one.own, one.most_iterations)
+
+    def _place_all(self, tries: Sequence[Try]) -> dict[int, tuple[PhasedSolver, NearStart]]:
+        """Place the numbers of cases that are not stated, as far as that goes; by the numbers of their tries."""
+        forms: dict[int, tuple[Form, list[int], list[LateCase]]] = {}
+        for k, one in enumerate(tries):
+            if isinstance(one.case, LateCase):
+                _, numbers, cases = forms.setdefault(id(one.case.form), (one.case.form, [], []))
+                numbers.append(k)
+                cases.append(one.case)
+        found = dict[int, tuple[PhasedSolver, NearStart]]()
+        for form, numbers, cases in forms.values():
+            own = [tries[k].own for k in numbers]
+            placing = self._find_placing(form, own[0])
+            if placing is None:
+                continue
+            most = [tries[k].most_iterations for k in numbers]
+            placed = placing.place(np.stack([case.numbers for case in cases]), own, most)
+            for k, case, instance in zip(numbers, cases, placed, strict=True):
+                if not crosses(instance):
+                    state = partial(getattr, case, "problem")
+                    found[k] = (
+                        placing.solver,
+                        NearStart(placing.problem, tries[k].own, tries[k].most_iterations, instance, state),
+                    )
+        return found
+
+    def _find_placing(self, form: Form, own: Neighbour) -> Placing | None:
+        """Find where the numbers of a form are, once."""
+        if id(form) not in self.placings:
+            problems = [case.problem for case in form.cases]
+            try:
+                placing = find_placing(problems, form.numbers, own, self.plants, self.programs.find)
+            except ProblemError:
+                placing = None
+            self.placings[id(form)] = form, placing
+        return self.placings[id(form)][1]
 
     def _try(self, solver: PhasedSolver, starts: Sequence[NearStart], threads: int) -> list[NearAnswer | None]:
         """Solve problems of one structure from neighbours; one with faults ends none of the others."""
@@ -107,7 +195,7 @@ class CaseSolver:
                 return [None]
             return [self._try(solver, [start], threads)[0] for start in starts]
 
-    def _check(self, case: Case, found: Found) -> Found:
+    def _check(self, case: AnyCase, found: Found) -> Found:
         """Re-simulate a solution, and refine it if the problem asks for that, where the case is checked."""
         if isinstance(found, Failure) or not case.is_checked:
             return found
@@ -119,7 +207,7 @@ class CaseSolver:
         return refine_phases(found, plants) if asks else found
 
 
-def solve_cases(cases: Sequence[Case], plants: Plants, threads: int = 1) -> Iterator[tuple[int, Outcome]]:
+def solve_cases(cases: Sequence[AnyCase], plants: Plants, threads: int = 1) -> Iterator[tuple[int, Outcome]]:
     """Solve cases, several at a time; yield the number and the outcome of each as it ends.
 
     Each thread makes its own programs. Cases that have not begun are dropped where the caller ends the iteration.

@@ -23,7 +23,7 @@ from typing import TypeVar
 
 from scipy import sparse
 
-from mbsrun.ocp.cases.cases import Case, CaseSolver, Found, Outcome, Try, read
+from mbsrun.ocp.cases.cases import AnyCase, CaseSolver, Found, Outcome, Try, read
 from mbsrun.ocp.cases.layers import Source, Start, weigh
 from mbsrun.ocp.methods import Near, mix_many
 from mbsrun.ocp.problem.phases import Plants
@@ -139,7 +139,7 @@ T = TypeVar("T")
 Begin = Callable[[Start, Origin | None], "Future[tuple[T, Origin]]"]  # of a solve, on a pool
 
 
-def solve_beside(solver: CaseSolver, case: Case, start: Start, origin: Origin | None) -> tuple[Outcome, Origin]:
+def solve_beside(solver: CaseSolver, case: AnyCase, start: Start, origin: Origin | None) -> tuple[Outcome, Origin]:
     """Solve a case from its sources' solutions, or else from its own guess."""
     found = _try_all(solver, [case], [start], [origin])[0]
     outcome, own = _solve_anew(solver, case, start, origin) if found is None else found
@@ -148,7 +148,7 @@ def solve_beside(solver: CaseSolver, case: Case, start: Start, origin: Origin | 
 
 def _try_all(
     solver: CaseSolver,
-    cases: Sequence[Case],
+    cases: Sequence[AnyCase],
     starts: Sequence[Start],
     origins: Sequence[Origin | None],
     threads: int = 1,
@@ -168,7 +168,7 @@ def _try_all(
     return found
 
 
-def _solve_anew(solver: CaseSolver, case: Case, start: Start, origin: Origin | None) -> tuple[Found, Origin]:
+def _solve_anew(solver: CaseSolver, case: AnyCase, start: Start, origin: Origin | None) -> tuple[Found, Origin]:
     """Solve a case from its own guess."""
     kept: list[Neighbour] = []
     outcome = solver.solve(case, kept.append)
@@ -177,7 +177,7 @@ def _solve_anew(solver: CaseSolver, case: Case, start: Start, origin: Origin | N
 
 
 def solve_neighbours(
-    cases: Sequence[Case], starts: Sequence[Start], plants: Plants, threads: int = 1
+    cases: Sequence[AnyCase], starts: Sequence[Start], plants: Plants, threads: int = 1
 ) -> Iterator[tuple[int, Found]]:
     """Solve cases in layers; yield the number and the outcome of each as it ends, see `solve_cases`."""
     own, solver = threading.local(), CaseSolver(plants)

@@ -7,7 +7,7 @@ numbers are the same to rounding.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -28,6 +28,8 @@ from mbsrun.ocp.solving.judging import Outcome
 from mbsrun.ocp.solving.phases import Neighbour, PhasedSolver
 from mbsrun.ocp.solving.stacked import Limits, StackedJudge
 
+State = Callable[[], PhasedProblem]
+
 ROOM = 200_000  # numbers of Jacobians that are evaluated at once
 
 
@@ -40,11 +42,13 @@ class Late:
     run: Run
     cost: float
     x: Array
+    state: State | None = None  # the very problem, where `problem` stands for it
 
     @cached_property
     def solution(self) -> PhasedSolution:
-        """Return the solution."""
-        return self.solver.read(self.problem, self.run, self.x)
+        """Return the solution. Raises ProblemError where its problem, which is stated now, has faults."""
+        own = self.problem if self.state is None else self.state()
+        return self.solver.read(own, self.run, self.x)
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +58,8 @@ class NearStart:
     problem: PhasedProblem
     own: Neighbour
     most_iterations: int
+    instance: Instance | None = None  # the numbers of the solve, where they are known
+    state: State | None = None  # the very problem, where `problem` stands for it: its weights and options are the same
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +109,7 @@ def _solve_stack(
     solver: PhasedSolver, method: methods.StackSolver, starts: Sequence[NearStart]
 ) -> list[NearAnswer | None]:
     found: list[NearAnswer | None] = [None] * len(starts)
-    numbered = [solver.number_near(start.problem, start.own, start.most_iterations) for start in starts]
+    numbered = [_number(solver, start) for start in starts]
     chosen = [k for k, own in enumerate(numbered) if own is not None]
     given = [own for own in numbered if own is not None]
     if not chosen:
@@ -116,12 +122,21 @@ def _solve_stack(
     for begin in range(0, len(good), size):
         part = good[begin : begin + size]
         for i, late in zip(part, _read_part(solver, given, stack, answer, part), strict=True):
-            own = starts[chosen[i]].own
-            if late is None:
-                found[chosen[i]] = _finish_alone(solver, given[i], answer, i, own, float(scaling[i]))
-            else:
+            own, state = starts[chosen[i]].own, starts[chosen[i]].state
+            if late is not None:
+                late = late if state is None else replace(late, state=state)
                 found[chosen[i]] = NearAnswer(late, replace(own, x=late.x, near=answer.near[i]))
+                continue
+            problem = given[i][0] if state is None else solver.check(state())
+            found[chosen[i]] = _finish_alone(solver, (problem, given[i][1]), answer, i, own, float(scaling[i]))
     return found
+
+
+def _number(solver: PhasedSolver, start: NearStart) -> tuple[PhasedProblem, Instance] | None:
+    """Return a checked problem and its numbers; None where bounds cross."""
+    if start.instance is not None:
+        return start.problem, start.instance
+    return solver.number_near(start.problem, start.own, start.most_iterations)
 
 
 def _stack(given: Sequence[Instance], starts: Sequence[NearStart], scaling: Array) -> Stack:

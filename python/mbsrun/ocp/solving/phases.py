@@ -153,7 +153,7 @@ class PhasedSolver:
         self, problem: PhasedProblem, own: Neighbour, most_iterations: int
     ) -> tuple[PhasedProblem, Instance] | None:
         """Return a checked problem, and its numbers beside the start near a solution; None where bounds cross."""
-        problem = self._check(problem)
+        problem = self.check(problem)
         if self._find_crossed(problem) is not None:
             return None
         freed, numbers = self._free_targets(problem, own.guess), self.transcription
@@ -223,7 +223,7 @@ class PhasedSolver:
         self, problem: PhasedProblem, guess: Guess, watch: Watch | None, usual: Guess, note: Note | None = None
     ) -> PhasedSolution | Failure:
         """Solve by one method."""
-        problem = self._check(problem)
+        problem = self.check(problem)
         if crossed := self._find_crossed(problem):
             return crossed
         known = self._complete(problem, guess)
@@ -275,7 +275,7 @@ class PhasedSolver:
             return found
         return replace(better.with_solver(options), run=join(run, better.run))
 
-    def _check(self, problem: PhasedProblem) -> PhasedProblem:
+    def check(self, problem: PhasedProblem) -> PhasedProblem:
         """Return a problem with the loops that were settled. Raises ProblemError, or ValueError for another structure.
 
         Bounds that cross are a failure of the solve, and no fault.
@@ -327,7 +327,7 @@ class PhasedSolver:
 
         Raises ProblemError, ValueError for a problem of another structure, NoNumbersError.
         """
-        problem = self._check(problem)
+        problem = self.check(problem)
         known = self._complete(problem, guess)
         return self._call(problem, self._begin(problem, known, known, None))
 
@@ -337,7 +337,7 @@ class PhasedSolver:
 
     def number(self, problem: PhasedProblem, guess: Guess) -> Instance:
         """Return the numbers of the program for a problem of the same structure, with a complete guess on its grids."""
-        problem = self._check(problem)
+        problem = self.check(problem)
         return self._begin(problem, guess, guess, None)
 
     def complete(self, problem: PhasedProblem, guess: Guess) -> Guess:
