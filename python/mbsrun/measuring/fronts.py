@@ -136,7 +136,8 @@ class Panel:
             return ""
         if self.choice is None:
             return f"No measured setting has errors up to {write_error(self.asked)}."
-        return f"For errors up to {write_error(self.asked)}: {self.choice.name}, {write_work(*self._spend())}."
+        others = f"; {self._peer} is as fast" if self._peer else ""
+        return f"For errors up to {write_error(self.asked)}: {self.choice.name}, {write_work(*self._spend())}{others}."
 
     @property
     def note(self) -> str:
@@ -147,6 +148,16 @@ class Panel:
         if self.floor and any(dot.place[1] < 10 * self.floor for dot in self.good):
             parts.append(f"shaded: the reference errs as much, {write_error(self.floor)}")
         return "; ".join(parts)
+
+    @property
+    def _peer(self) -> str:
+        """Return the line that the headline names at the asked error, where it is another one than the choice's."""
+        assert self.choice is not None, "a choice was made"
+        assert self.asked is not None, "an error was asked for"
+        asked = max(self.asked, self.floor or 0.0)
+        line = next((s.line for s in _list_stretches(self.good, self.floor) if s.least <= asked), self.choice.line)
+        works = [dot.place[0] for dot in self.good if dot.line == line and dot.place[1] <= asked]
+        return line if line != self.choice.line and min(works, default=math.inf) <= ALIKE * self.choice.place[0] else ""
 
     def _spend(self) -> tuple[float, str]:
         assert self.choice is not None, "a choice was made"
@@ -201,18 +212,23 @@ def state_finding(dots: Sequence[Dot], floor: float | None = None, verb: str = "
 
     Errors below `floor` are not distinguished; errors above a tenth count where there are no others.
     """
-    good = [replace(dot, error=max(dot.place[1], floor or 0.0)) for dot in dots if dot.is_good]
-    stretches = find_stretches([dot for dot in good if dot.place[1] <= USELESS] or good)
+    stretches = _list_stretches(dots, floor)
     if not stretches:
         return "Nothing was measured here."
     if len(stretches) == 1:
-        alone = len({dot.line for dot in good}) == 1
+        alone = len({dot.line for dot in dots if dot.is_good}) == 1
         return f"{stretches[0].line} {'is the only way that was measured' if alone else f'{verb} at every error'}."
     first, second = sorted(stretches, key=_measure, reverse=True)[:2]
     text = f"{_locate(first, stretches).capitalize()}, {first.line} {verb}"
     if second.line == first.line:
         return f"{text}."
     return f"{text}; {_locate(second, stretches)}, {second.line}."
+
+
+def _list_stretches(dots: Sequence[Dot], floor: float | None) -> list[Stretch]:
+    """Divide the errors that are of use and that the reference distinguishes."""
+    good = [replace(dot, error=max(dot.place[1], floor or 0.0)) for dot in dots if dot.is_good]
+    return find_stretches([dot for dot in good if dot.place[1] <= USELESS] or good)
 
 
 def _measure(stretch: Stretch) -> float:

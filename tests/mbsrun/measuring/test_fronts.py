@@ -78,6 +78,16 @@ def test_at_most_seven_lines_have_a_name_and_the_choice_is_one() -> None:
     assert Panel("", (), "", "", asked=1e-6).advice == "No measured setting has errors up to 1e-6."
 
 
+@pytest.mark.parametrize(("work", "others"), [(96, "; B is as fast"), (120, "")])
+def test_advice_names_the_line_of_the_headline_where_it_is_as_fast(work: float, others: str) -> None:
+    """A is the more accurate one at 100 s, B goes on to more digits; beyond a tenth they are not equal."""
+    dots = (Dot("A", "a", 100, 1e-8), Dot("B", "b", work, 1e-7), Dot("B", "c", 200, 1e-12), Dot("B", "d", 10, 1e-4))
+    panel = Panel("", dots, "", "", asked=1e-6, choice=dots[0])
+    slower = "Between 1e-4 and 1e-8, A is the fastest; below 1e-8, B."
+    assert panel.headline == ("B is the fastest at every error." if work < 110 else slower)
+    assert panel.advice == f"For errors up to 1e-6: A, a, 100 s{others}."
+
+
 @pytest.mark.parametrize(
     ("error", "text"), [(1e-6, "1e-6"), (0.0, "0"), (0.0412, "0.04"), (2.6e-12, "3e-12"), (9.9e-4, "1e-3"), (1.0, "1")]
 )
