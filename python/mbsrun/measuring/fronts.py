@@ -157,7 +157,8 @@ class Panel:
         asked = max(self.asked, self.floor or 0.0)
         line = next((s.line for s in _list_stretches(self.good, self.floor) if s.least <= asked), self.choice.line)
         works = [dot.place[0] for dot in self.good if dot.line == line and dot.place[1] <= asked]
-        return line if line != self.choice.line and min(works, default=math.inf) <= ALIKE * self.choice.place[0] else ""
+        is_alike = 1 / ALIKE <= min(works, default=math.inf) / self.choice.place[0] <= ALIKE
+        return line if is_alike and line != self.choice.line else ""
 
     def _spend(self) -> tuple[float, str]:
         assert self.choice is not None, "a choice was made"
