@@ -241,8 +241,9 @@ def fingerprint_generator() -> bytes:
     """Return a hash of the files that generation depends on."""
     digest = hashlib.sha256()
     for folder in (Path(resources.__file__).parent, resources.folder("templates"), resources.folder("csrc")):
-        for file in sorted(folder.rglob("*.*")):
-            if file.is_file() and file.suffix != ".pyc":
-                digest.update(hashlib.sha256(str(file.relative_to(folder)).encode()).digest())
-                digest.update(hashlib.sha256(file.read_bytes()).digest())
+        found = (os.path.join(place, name) for place, _, names in os.walk(folder) for name in names if "." in name)
+        for file in sorted(file for file in found if not file.endswith(".pyc")):
+            digest.update(hashlib.sha256(os.path.relpath(file, folder).encode()).digest())
+            with open(file, "rb") as text:
+                digest.update(hashlib.sha256(text.read()).digest())
     return digest.digest()

@@ -213,31 +213,43 @@ def choose_turned(
 
     count: the uses of a node.
     """
-    turned: set[int] = set()
+    turning = _Turning(nodes, count, is_literal, set())
+    for ref in sorted((ref for ref in wanted if ref < 0), reverse=True):
+        if -ref not in wanted:
+            turning.turn(-ref)
+    return turning.turned
 
-    def turn(node: int) -> bool:
+
+@dataclass(frozen=True)
+class _Turning:
+    """The nodes that are turned, and what decides on others; no closure, which would keep all nodes by a cycle."""
+
+    nodes: Numbered[Key | mpf | None]
+    count: Callable[[int], int]
+    is_literal: Callable[[int], bool]
+    turned: set[int]
+
+    def turn(self, node: int) -> bool:
         """Try to compute `node` with the other sign at no cost, through operands without other uses."""
-        key = nodes[node]
-        if key.__class__ is not tuple or node in turned:
+        key = self.nodes[node]
+        if not isinstance(key, tuple) or node in self.turned:
             return False
         op, a, b = key
         if op is MUL or op is DIV:
-            is_free = is_literal(a) or is_literal(b)
+            is_free = self.is_literal(a) or self.is_literal(b)
         elif op is SUB:
             is_free = True
         elif op in _TURNABLE:
             is_free = False
         else:
             return False
-        if is_free or (count(abs(a)) == 1 and turn(a)) or (b and count(abs(b)) == 1 and turn(b)):
-            turned.add(node)
+        if is_free or self._is_turned(abs(a)) or (b and self._is_turned(abs(b))):
+            self.turned.add(node)
             return True
         return False
 
-    for ref in sorted((ref for ref in wanted if ref < 0), reverse=True):
-        if -ref not in wanted:
-            turn(-ref)
-    return turned
+    def _is_turned(self, operand: int) -> bool:
+        return self.count(operand) == 1 and self.turn(operand)
 
 
 def sign_of(ref: Ref) -> int:
