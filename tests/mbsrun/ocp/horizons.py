@@ -43,7 +43,7 @@ def state(family: Family, **changes: Any) -> Problem:
         start_q=(0.1,),
         start_qd=(0.2,),
         bounds=Bounds(q=((-1.0, 1.0),), qd=((-3.0, 3.0),), u=((-5.0, 5.0),), rates=((-7.0, 9.0),)),
-        end=End(coordinates=((0, 0.5),), velocity_zero=True),
+        end=End(coordinates=((0, 0.5),), velocity_zero=True, sensors=(("place", (0.4, -0.1, 0.2)),)),
         constraints=(Constraint("q_slide + t/T", (-1.0, 2.0)), Constraint("u_slide*T", (-8.0, 8.0))),
         mesh=MESH,
     )
