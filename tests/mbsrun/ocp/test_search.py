@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import sqlite3
 from collections import Counter
@@ -26,6 +27,7 @@ from mbsrun.ocp.searching.executor import LocalExecutor, Worker, choose_options
 from mbsrun.ocp.searching.search import Job, Outcome, OutOfTimeError, Search
 from mbsrun.ocp.searching.study import Study, Targets, identify
 from mbsrun.ocp.searching.trials import MULTISTART, Found, Interpolation, ProtocolName, Trial, plan_round, restate
+from mbsrun.ocp.solution import record as module
 from mbsrun.ocp.solution.record import Attempt, Best, Record, Task, open_record
 from tests.mbsrun.peer import Peer
 
@@ -371,3 +373,11 @@ def test_no_mirror_image_is_found_by_kernels_that_fail(
     undefined = {"Phi": np.full((64, 6), np.nan), "position": np.full((64, 3, 1), np.nan)}
     monkeypatch.setattr(Peer, "__call__", lambda *_, **__: undefined)
     assert find_mirror(study.problem, arm, "hand") == ()
+
+
+def test_a_record_loads_no_objects() -> None:
+    """Arrays of objects would run code of whoever wrote the file."""
+    file = io.BytesIO()
+    np.savez_compressed(file, t=np.array([{}], dtype=object))
+    with pytest.raises(ValueError, match="allow_pickle"):
+        module._unpack(file.getvalue())

@@ -16,6 +16,8 @@ import pytest
 from scipy import sparse
 
 from mbsrun.ocp.evaluation.backends.prepared import Prepared
+from mbsrun.ocp.evaluation.stages.binding import INFINITE, Numbers, find_crossed, set_bounds
+from mbsrun.ocp.evaluation.stages.building import build
 from mbsrun.ocp.ground.program import Program, Stages
 from mbsrun.ocp.ground.status import SOLVED
 from mbsrun.ocp.methods import METHODS, Answer, Assignment, Instance
@@ -123,3 +125,53 @@ def test_rows_that_contradict_each_other_are_named(seed: int) -> None:
     answer = solve(program, Instance(start.x, start.parameters, lower, upper, least, above))
     assert answer.status == INFEASIBLE
     assert row in answer.clash
+
+
+def _number(start: Instance) -> Numbers:
+    return Numbers(start.parameters, start.lower, start.upper, start.g_lower, start.g_upper)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_tables_have_the_bounds_of_the_program(seed: int) -> None:
+    """Each variable has its bounds in one place, where a row gives the first states too; each row has its own."""
+    drawn = draw(seed)
+    start, data = drawn.start, build(drawn.program, double_integrator())
+    lower, upper, least, most = set_bounds(data, _number(start))
+    where = {int(i): k for k, i in enumerate(data.bounded) if i >= 0}
+    assert sorted(where) == [*range(drawn.program.variables)]
+    given = {int(data.bounded[k]): int(row) for k, row in data.fixed}
+    assert len(given) == NX
+    for i, k in where.items():
+        row = given.get(i)
+        low, high = (start.g_lower[row], start.g_upper[row]) if row is not None else (start.lower[i], start.upper[i])
+        assert (lower[k], upper[k]) == (max(low, -INFINITE), min(high, INFINITE))
+    others = np.delete(np.arange(data.bounded.size), [*where.values()])
+    assert (lower[others] == -INFINITE).all()
+    assert (upper[others] == INFINITE).all()
+    placed = data.rows_g >= 0
+    assert least[placed].tolist() == start.g_lower[data.rows_g[placed]].tolist()
+    assert most[placed].tolist() == start.g_upper[data.rows_g[placed]].tolist()
+    assert not least[~placed].any()
+    assert not most[~placed].any()
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("size", [0.5, 20.0])
+def test_a_start_beyond_a_bound_is_named_unless_it_is_rounding(seed: int, size: float) -> None:
+    """By 2e-8 of its size it is beyond, by 0.5e-8 it is on the bound."""
+    drawn = draw(seed)
+    data = build(drawn.program, double_integrator())
+    for variable, row in data.fixed.tolist():
+        i = int(data.bounded[variable])
+        for sign in (1.0, -1.0):
+            for part, is_beyond in ((2e-8, True), (0.5e-8, False), (-0.1, False)):
+                start = drawn.start
+                lower, upper = np.full(start.lower.size, -np.inf), np.full(start.upper.size, np.inf)
+                (upper if sign > 0 else lower)[i] = sign * size
+                value = sign * size * (1 + part * max(1.0, size) / size)
+                least, most = start.g_lower.copy(), start.g_upper.copy()
+                least[row] = most[row] = value
+                numbers = Numbers(start.parameters, lower, upper, least, most)
+                assert find_crossed(data, numbers) == ((row,) if is_beyond else ())
+                low, high, *_ = set_bounds(data, numbers)
+                assert low[variable] == high[variable]
