@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from mbsrun.ocp.problem.problem import Problem
+from mbsrun.ocp.problem.problem import Constraint, Problem
+from mbsrun.ocp.solving.margins import list_watched
 from mbsrun.ocp.transcription.clashes import Names, name_parts
 from mbsrun.ocp.transcription.transcription import Transcription
 from tests.mbsrun.ocp.horizons import CASES, pair, plant
@@ -82,3 +84,13 @@ def test_rows_have_the_name_of_what_the_problem_states(case: str) -> None:
                 assert stages.rows[row] == int(interval[1]) - 1
             else:
                 assert ROWS[text] == limits[row]
+
+
+def test_what_the_problem_bounds_is_watched_along_the_path() -> None:
+    """By the same names and ranges; relaxed constraints and constraints at the end are no matter of the path."""
+    problem = pair("a state and a control")[2]
+    others = Constraint("q_slide", (0.1, 0.9), "end"), Constraint("qd_slide", (0.0, 0.0), is_relaxed=True)
+    problem = replace(problem, constraints=(*problem.constraints, *others))
+    found = {part.name: part.range for part in list_watched(problem, plant())}
+    known = {name: limits for name, limits in RANGES.items() if "horizon" not in name}
+    assert found == known | {name: limits for name, limits in ROWS.items() if name.startswith("constraint")}

@@ -243,6 +243,6 @@ def test_a_driven_joint_that_jumps_is_refused_with_its_line(tmp_path: Path) -> N
     (tmp_path / "table.yaml").write_text(write_model("driven"), encoding="utf-8")
     manifest = load(tmp_path / "table.yaml", extent=INTEGRATED).manifest
     name = manifest.coordinates[manifest.driven[0]].name
-    settings.write_text(f"duration: 1\ndriven: {{{name}: 'max(0, t - 0.1)'}}\n", encoding="utf-8")
+    settings.write_text(f"duration: 0.5\ndriven: {{{name}: 'max(0, t - 0.1)'}}\n", encoding="utf-8")
     with pytest.raises(InputError, match=rf"settings.yaml:2: driven.{name}: its velocity jumps by 1 at t = 0.1 s"):
         read_statement(settings, {}, manifest)
