@@ -30,8 +30,6 @@ from mbsgen.errors import MbsError
 from mbsgen.interpreted import Interpreted
 from mbsgen.pipeline import read_tree
 from mbsgen.roles import choose_quickest
-from mbsrun.lab.digits import relate
-from mbsrun.lab.interpretation import LongChain, eliminate
 from mbsrun.measuring.fronts import DIGIT, Dot
 from mbsrun.measuring.growth import Growth
 from mbsrun.measuring.mechanisms import write_chain
@@ -39,6 +37,8 @@ from mbsrun.measuring.pictures import draw_panels
 from mbsrun.measuring.store import Store
 from mbsrun.measuring.timing import Watch, measure_rounds
 from mbsrun.models import fingerprint_generator
+from studies.laboratory.digits import relate
+from studies.laboratory.interpretation import LongChain, eliminate
 
 Array = NDArray[np.float64]
 States = Mapping[str, Array]

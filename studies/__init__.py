@@ -1,1 +1,1 @@
-"""Studies of questions in the literature, by means of `mbsrun`; not part of the installed package."""
+"""Studies beside `mbsrun`, which knows none of their modules: a paper's, and the laboratory of methods that fail."""

@@ -45,7 +45,7 @@ REST: Mapping[str, tuple[str, ...]] = {
 
 # Kinds of which the tests that take a while run in `make rest`: few changes touch them.
 SELDOM: Mapping[str, tuple[str, ...]] = {
-    "benchmarks and studies": ("benchmarks/", "studies/", "mbsrun/lab/", "mbsrun/measuring/"),
+    "benchmarks and studies": ("benchmarks/", "studies/", "mbsrun/measuring/"),
     "toolchains": (
         *("mbsgen/targets/", "csrc/test_bare", "mbsrun/test_fmu.py", "mbsrun/playground/", "mbsrun/test_library.py"),
         *("mbsgen/test_output.py", "mbsgen/test_pipeline.py", "mbsgen/test_drawing.py", "mbsrun/controllers/"),

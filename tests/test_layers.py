@@ -265,18 +265,9 @@ MBSRUN = Package(
         "measuring.advice measuring.explorer measuring.panels",
         "measuring.charts measuring.overview measuring.surveys",
         "measuring",
-        "lab.case lab.mechanisms",
-        "lab.ends",
-        "lab.digits lab.integration lab.optimisation lab.runs",
-        "lab.interpretation",
-        "lab.chains lab.compilation lab.derivatives lab.events lab.expressions lab.inertias lab.limits "
-        "lab.locks lab.loops lab.modelling lab.orientations",
-        "lab.cases lab.maps lab.stability",
-        "lab.stability_map",
-        "lab",
         "commands.console",
         "commands.searching commands.failures commands.columns commands.derived",
-        "commands.animated commands.robots",
+        "commands.animated commands.robots commands.studies",
         "commands.recorded",
         "commands.cases commands.starts",
         "commands.advise commands.animate commands.cache commands.chart commands.continue_ commands.controller "
@@ -302,7 +293,7 @@ MBSRUN = Package(
         "mbsgen.style",
     ),
     # a model file given for a generated folder; formulas and controllers in C, and their folders; equations in 50
-    # digits; the command of a study
+    # digits
     lazy={
         "models": "mbsgen.pipeline",
         "ocp.evaluation.stages.formulas": "mbsgen.formulas",
@@ -315,8 +306,6 @@ MBSRUN = Package(
         "controllers.emulation": "mbsgen.targets",
         "commands.controller": "mbsgen.output",
         "measuring.reference": "mbsgen.oracle",
-        "lab.interpretation": "mbsgen.interpreted",
-        "commands.study": "studies.docquier.command",
     },
 )
 DOCQUIER = Package(
@@ -333,13 +322,30 @@ DOCQUIER = Package(
         "command",
         "__main__",
     ),
-    foreign=("sympy", "mbsgen", "benchmarks", "mbsrun.cli", "mbsrun.lab"),
+    foreign=("sympy", "mbsgen", "benchmarks", "mbsrun.cli", "studies.laboratory"),
     guests=MBSRUN.guests,
     lazy={"growth": "mbsgen.scaling"},  # operations of chains
     above="studies",
 )
+LABORATORY = Package(
+    source=ROOT / "studies" / "laboratory",
+    layers=(
+        "case mechanisms",
+        "ends",
+        "digits integration optimisation runs",
+        "interpretation",
+        "chains compilation derivatives events expressions inertias limits locks loops modelling orientations",
+        "cases maps stability",
+        "stability_map",
+        "command",
+    ),
+    foreign=("sympy", "mbsgen", "benchmarks", "mbsrun.cli", "studies.docquier"),
+    guests=MBSRUN.guests,
+    lazy={"interpretation": "mbsgen.interpreted"},
+    above="studies",
+)
 EXTRAS = ("jax", "torch")  # parts of mbsrun that need a library which is installed for them alone
-PACKAGES = (MBSGEN, MBSRUN, DOCQUIER)
+PACKAGES = (MBSGEN, MBSRUN, DOCQUIER, LABORATORY)
 
 
 @dataclass(frozen=True)
@@ -436,8 +442,8 @@ def is_extra(module: str) -> bool:
 
 @pytest.mark.parametrize(
     ("package", "strangers"),
-    [(MBSGEN, ("casadi",)), (MBSRUN, ("sympy", "jax", "torch")), (DOCQUIER, ("sympy",))],
-    ids=["mbsgen", "mbsrun", "studies.docquier"],
+    [(MBSGEN, ("casadi",)), (MBSRUN, ("sympy", "jax", "torch")), (DOCQUIER, ("sympy",)), (LABORATORY, ("sympy",))],
+    ids=["mbsgen", "mbsrun", "studies.docquier", "studies.laboratory"],
 )
 def test_importing_a_whole_package_leaves_strangers_out(package: Package, strangers: tuple[str, ...]) -> None:
     """A module of another's could bring one in; so all modules are imported, and the interpreter is asked.

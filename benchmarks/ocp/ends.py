@@ -1,9 +1,9 @@
 """Solve random problems whose ends lie on their limits: `python -m benchmarks.ocp.ends`; `mbs` beside IPOPT.
 
-`mbsrun.lab.ends` draws the problems: 500, of ten kinds in turn, in all forms and representations. Both methods start
-from the same guess, with their default options, and neither falls back on the other. Where their costs differ, IPOPT
-starts again at the answer of `mbs`: if it finds a lower cost nearby, the answer is wrong, else it is another minimum.
-Each solve is written to `ends.jsonl` at once, and an interrupted run continues. `--write 17` prints a problem.
+`studies.laboratory.ends` draws the problems: 500, of ten kinds in turn, in all forms and representations. Both methods
+start from the same guess, with their default options, and neither falls back on the other. Where their costs differ,
+IPOPT starts again at the answer of `mbs`: if it finds a lower cost nearby, the answer is wrong, else it is another
+minimum. Each solve is written to `ends.jsonl` at once, and an interrupted run continues. `--write 17` prints a problem.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ import numpy as np
 from rich.console import Console
 
 from mbsrun.external import load_on_demand
-from mbsrun.lab.ends import KINDS, draw
 from mbsrun.ocp.ground.plant import Plant
 from mbsrun.ocp.ground.status import ACCEPTABLE, SOLVED
 from mbsrun.ocp.problem.problem import Problem
 from mbsrun.ocp.solution.solution import Failure, Solution
 from mbsrun.ocp.solving.solve import solve
 from mbsrun.ocp.statement.statement import read_problem
+from studies.laboratory.ends import KINDS, draw
 
 METHODS = ("mbs", "ipopt")
 Options = tuple[tuple[str, float], ...]
@@ -170,8 +170,9 @@ def write_page(solves: Sequence[Solve]) -> str:
         "# Ends on limits",
         "",
         "`python -m benchmarks.ocp.ends` wrote this page. Random problems end on their limits, have rows twice,",
-        "fixed variables, equations that follow from others, or no interior (`mbsrun.lab.ends`). Of two numbers in a",
-        "cell, the first one is of `mbs`, the second one of IPOPT. An answer is wrong where IPOPT finds a lower cost",
+        "fixed variables, equations that follow from others, or no interior (`studies.laboratory.ends`). Of two",
+        "numbers in a cell, the first one is of `mbs`, the second one of IPOPT. An answer is wrong where IPOPT finds a",
+        "lower cost",
         f"from it, by {SAME:g} of it. Where IPOPT's own two costs there, with bounds that give by 1e-8 and bounds",
         "that give by less (0, 1e-10 or 1e-9, the first that it solves), differ by more than that, the cost is",
         "undetermined. Iterations and their mean ratio are of problems to which both found the same answer.",

@@ -13,10 +13,10 @@ import pytest
 from benchmarks.ocp import ends, quadratics
 from benchmarks.ocp.ends import Solve
 from mbsrun.external import load_on_demand
-from mbsrun.lab.ends import KINDS, draw
 from mbsrun.ocp.problem.problem import Problem, find_conflicts
 from mbsrun.ocp.solution.solution import Solution
 from mbsrun.ocp.statement.statement import read_problem
+from studies.laboratory.ends import KINDS, draw
 from tests.csrc.stages import Library, compile_solver
 
 

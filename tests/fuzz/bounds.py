@@ -35,8 +35,8 @@ from mbsgen.tape.types import FUNCTIONS, LITERALS, Op, Tape
 from mbsgen.targets.c.files import write_c
 from mbsgen.targets.contract import Family
 from mbsgen.targets.unit import Unit
-from mbsrun.lab.mechanisms import describe_elbow, describe_lock, describe_spatial, describe_straight
 from mbsrun.library import find_compiler
+from studies.laboratory.mechanisms import describe_elbow, describe_lock, describe_spatial, describe_straight
 
 ROOT = Path(__file__).parents[2]
 SHIPPED = ("arm_pendulum", "six_axis", "leg", "cart_pole", "satellite", "quadruped")

@@ -24,8 +24,8 @@ from mbsgen.targets.contract import Family
 from mbsgen.targets.double_double import add_double_double
 from mbsgen.targets.unit import Unit
 from mbsrun.kernel import KernelError, Kernels
-from mbsrun.lab.mechanisms import LOCKS, describe_lock, describe_spatial
 from mbsrun.measuring.reference import Reference
+from studies.laboratory.mechanisms import LOCKS, describe_lock, describe_spatial
 from tests.mbsgen.targets.compilation import STRICT, run
 from tests.mbsgen.targets.every_function import functions_tape
 from tests.shipped import FOLDER

@@ -9,8 +9,6 @@ from pathlib import Path
 import pytest
 
 from mbsrun import cli, load
-from mbsrun.lab.mechanisms import SLIDE, UNSTABLE
-from mbsrun.lab.optimisation import state_catch, state_push
 from mbsrun.measuring.captions import OUTLINES, write_captions
 from mbsrun.measuring.charts import draw_optima
 from mbsrun.measuring.optima import OptimumScope, measure_optima
@@ -20,6 +18,8 @@ from mbsrun.measuring.solves import Case
 from mbsrun.measuring.store import Store
 from mbsrun.ocp.ground.schemes import Family
 from mbsrun.ocp.problem.problem import Representation
+from studies.laboratory.mechanisms import SLIDE, UNSTABLE
+from studies.laboratory.optimisation import state_catch, state_push
 from tests.picture_kinds import find_kind
 
 PUSH = """

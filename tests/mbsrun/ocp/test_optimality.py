@@ -12,7 +12,6 @@ from scipy import sparse
 from scipy.optimize import linprog
 
 from mbsrun.external import OnDemand, load_on_demand
-from mbsrun.lab.ends import draw
 from mbsrun.ocp import methods
 from mbsrun.ocp.ground.functions import Array
 from mbsrun.ocp.ground.program import Matrix
@@ -29,6 +28,7 @@ from mbsrun.ocp.solving.phases import solve_phases
 from mbsrun.ocp.solving.solve import Solver, solve
 from mbsrun.ocp.statement.statement import read_problem
 from mbsrun.tracking.solving import SolvingController
+from studies.laboratory.ends import draw
 from tests.mbsrun.ocp.plants import push
 
 MASS = """

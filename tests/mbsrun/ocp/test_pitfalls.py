@@ -9,13 +9,13 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from mbsrun.lab.optimisation import state_catch, state_swing_up
 from mbsrun.ocp.ground.schemes import Family
 from mbsrun.ocp.guessing.guess import interpolate
 from mbsrun.ocp.problem.problem import Cost, Term
 from mbsrun.ocp.solution.solution import Failure, Solution
 from mbsrun.ocp.solving.resimulation import resimulate
 from mbsrun.ocp.solving.solve import Solver, solve
+from studies.laboratory.optimisation import state_catch, state_swing_up
 from tests.mbsrun.ocp.plants import cart_pole, unstable
 from tests.mbsrun.peer import Peer
 

@@ -11,8 +11,6 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from mbsrun.lab.optimisation import state_catch
-from mbsrun.lab.optimisation import state_swing_up as swing_up
 from mbsrun.ocp.evaluation.backends.condensation import Condensed, build
 from mbsrun.ocp.ground import integrators, schemes
 from mbsrun.ocp.ground.integrators import SECOND_ORDER
@@ -26,6 +24,8 @@ from mbsrun.ocp.solving.phases import PhasedSolver, solve_phases
 from mbsrun.ocp.solving.resimulation import Constant, integrate, resimulate
 from mbsrun.ocp.solving.solve import Solver, solve
 from mbsrun.ocp.transcription.transcription import transcribe
+from studies.laboratory.optimisation import state_catch
+from studies.laboratory.optimisation import state_swing_up as swing_up
 from tests.mbsrun.ocp.phases.motions import split
 from tests.mbsrun.ocp.plants import FREE_RANGE, cart_pole, pendulum, push, unstable
 from tests.mbsrun.ocp.programs import check_derivatives, equations_of, evaluate_rows, functions_of, rich, unroll

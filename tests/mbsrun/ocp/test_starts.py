@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from mbsrun.external import load_on_demand
-from mbsrun.lab.optimisation import state_swing_up
 from mbsrun.ocp.ground import schemes
 from mbsrun.ocp.ground.plant import Plant
 from mbsrun.ocp.guessing.guess import find_pose, interpolate, scatter_poses
@@ -45,6 +44,7 @@ from mbsrun.ocp.solution import record as records
 from mbsrun.ocp.solution.record import Attempt, Best, Task, open_record
 from mbsrun.ocp.solution.solution import Start, Starts
 from mbsrun.ocp.statement.statement import read_problem
+from studies.laboratory.optimisation import state_swing_up
 from tests.mbsrun.ocp.conftest import MODELS
 from tests.mbsrun.ocp.plants import push
 from tests.mbsrun.peer import Peer, double_integrator

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from mbsrun import Mechanism, load
-from mbsrun.lab.mechanisms import SLIDER_AND_BOB
 from mbsrun.models import Extent
+from studies.laboratory.mechanisms import SLIDER_AND_BOB
 
 MODELS = Path(__file__).parents[3] / "models"
 

@@ -7,11 +7,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from mbsgen.errors import InputError
-from mbsrun.lab.case import Finding, Workspace, check, demand, show_failure
-from mbsrun.lab.digits import EXPLICIT, KERNELS, RESIDUAL, U, relate, specimen
-from mbsrun.lab.mechanisms import describe_spatial, draw, round_to_single, write
 from mbsrun.measuring.functions import Precision
 from mbsrun.models import Extent, find_folder
+from studies.laboratory.case import Finding, Workspace, check, demand, show_failure
+from studies.laboratory.digits import EXPLICIT, KERNELS, RESIDUAL, U, relate, specimen
+from studies.laboratory.mechanisms import describe_spatial, draw, round_to_single, write
 
 TINY, HUGE = 1e-150, 1e150
 SIZES: Mapping[str, Sequence[float]] = {

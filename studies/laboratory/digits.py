@@ -17,13 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbsrun.forms import FORMS
-from mbsrun.lab.case import Finding, Loss, Workspace, check, tell
-from mbsrun.lab.mechanisms import State, States, write
 from mbsrun.measuring.candidates import Found, compile_kernel
 from mbsrun.measuring.functions import Precision, Variant
 from mbsrun.measuring.mechanisms import Subject
 from mbsrun.measuring.reference import Moment, Reference
 from mbsrun.models import Extent
+from studies.laboratory.case import Finding, Loss, Workspace, check, tell
+from studies.laboratory.mechanisms import State, States, write
 
 Array = NDArray[np.float64]
 

@@ -12,11 +12,12 @@ from dataclasses import asdict, fields, replace
 from functools import cache
 from pathlib import Path
 
-from mbsrun.lab.case import Case, Finding, Loss, Report, Trial, Verdict, Workspace, demand, judge
+import mbsrun
 from mbsrun.library import find_compiler
 from mbsrun.measuring.sections import Cell, Table, write_table
 from mbsrun.measuring.store import Store
 from mbsrun.models import fingerprint_generator
+from studies.laboratory.case import Case, Finding, Loss, Report, Trial, Verdict, Workspace, demand, judge
 
 KEPT = ("findings.jsonl", "losses.jsonl")
 MODELS = "models"
@@ -112,10 +113,11 @@ def name_verdict(verdict: Verdict) -> str:
 
 @cache
 def _fingerprint() -> str:
-    """Return a hash of everything that findings depend on: both packages, and the compiler."""
+    """Return a hash of everything that findings depend on: both packages, the laboratory, and the compiler."""
     digest = hashlib.sha256(fingerprint_generator())
-    for file in sorted(Path(__file__).parents[1].rglob("*.py")):
-        digest.update(hashlib.sha256(file.read_bytes()).digest())
+    for module in (mbsrun.__file__, __file__):
+        for file in sorted(Path(module).parent.rglob("*.py")):
+            digest.update(hashlib.sha256(file.read_bytes()).digest())
     compiler = find_compiler(os.environ)
     digest.update(repr((compiler.command, compiler.flags, compiler.macros)).encode())
     return digest.hexdigest()

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from mbsrun.lab.case import Finding, Workspace, check, show_failure
-from mbsrun.lab.digits import EXPLICIT, KERNELS, RESIDUAL, Specimen, U, relate, specimen
-from mbsrun.lab.mechanisms import describe_spatial, describe_straight, draw
+from studies.laboratory.case import Finding, Workspace, check, show_failure
+from studies.laboratory.digits import EXPLICIT, KERNELS, RESIDUAL, Specimen, U, relate, specimen
+from studies.laboratory.mechanisms import describe_spatial, describe_straight, draw
 
 Array = NDArray[np.float64]
 

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from scipy.integrate import BDF, DOP853, LSODA, RK45, Radau, solve_ivp
 
 from mbsrun.external import Mechanism
-from mbsrun.lab.case import Finding, Workspace, check, demand, show_failure
-from mbsrun.lab.mechanisms import write
 from mbsrun.models import Extent, find_folder
 from mbsrun.simulation import Motion, Settings, simulate
 from mbsrun.simulation.drive import Drive, hold, hold_steps
+from studies.laboratory.case import Finding, Workspace, check, demand, show_failure
+from studies.laboratory.mechanisms import write
 
 Array = NDArray[np.float64]
 

@@ -18,13 +18,13 @@ from scipy.special import ellipj
 
 from mbsrun.external import Mechanism
 from mbsrun.forms import FUNCTIONS
-from mbsrun.lab.case import Finding, Workspace, check, demand, show_failure, tell
-from mbsrun.lab.mechanisms import SLIDER_AND_BOB, write
 from mbsrun.models import Extent, find_folder
 from mbsrun.simulation.drive import hold
 from mbsrun.simulation.integration.methods import Formulation
 from mbsrun.simulation.motion import Motion, Settings
 from mbsrun.simulation.simulate import simulate
+from studies.laboratory.case import Finding, Workspace, check, demand, show_failure, tell
+from studies.laboratory.mechanisms import SLIDER_AND_BOB, write
 
 Array = NDArray[np.float64]
 

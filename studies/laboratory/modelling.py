@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from mbsgen.errors import InputError
 from mbsrun.external import Mechanism
 from mbsrun.kernel import KernelError
-from mbsrun.lab.case import Finding, Workspace, check, demand, find_worst, show_failure
-from mbsrun.lab.digits import EXPLICIT, KERNELS, RESIDUAL, relate, specimen
-from mbsrun.lab.mechanisms import describe_spatial, draw, write
 from mbsrun.models import Extent, find_folder
+from studies.laboratory.case import Finding, Workspace, check, demand, find_worst, show_failure
+from studies.laboratory.digits import EXPLICIT, KERNELS, RESIDUAL, relate, specimen
+from studies.laboratory.mechanisms import describe_spatial, draw, write
 
 Array = NDArray[np.float64]
 

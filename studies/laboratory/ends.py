@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from mbsrun.lab.mechanisms import write
 from mbsrun.ocp.problem.problem import Form, Representation
+from studies.laboratory.mechanisms import write
 
 Rng = np.random.Generator
 Problem = dict[str, Any]  # as its file says it

@@ -16,12 +16,12 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
 from mbsgen.style import BAD, PALETTE, in_format, styled
-from mbsrun.lab import chains, locks
-from mbsrun.lab.case import Loss, Report, Workspace
-from mbsrun.lab.digits import EXPLICIT
-from mbsrun.lab.mechanisms import describe_spatial, describe_straight, draw
 from mbsrun.measuring.pictures import save_picture
 from mbsrun.measuring.sections import Caption, Outline, Table, write_outline, write_table
+from studies.laboratory import chains, locks
+from studies.laboratory.case import Loss, Report, Workspace
+from studies.laboratory.digits import EXPLICIT
+from studies.laboratory.mechanisms import describe_spatial, describe_straight, draw
 
 LENGTHS = (2, 5, 10, 20)
 RATIOS = tuple(10.0**k for k in range(0, 13, 2))

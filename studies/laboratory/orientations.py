@@ -17,9 +17,6 @@ from scipy.linalg import expm
 
 from mbsrun.external import Mechanism
 from mbsrun.forms import DIFFERENTIATED
-from mbsrun.lab.case import Finding, Workspace, check, demand, show_failure
-from mbsrun.lab.digits import EXPLICIT, RESIDUAL
-from mbsrun.lab.mechanisms import write
 from mbsrun.models import Extent, find_folder
 from mbsrun.ocp.ground.schemes import Family
 from mbsrun.ocp.guessing.guess import interpolate
@@ -28,6 +25,9 @@ from mbsrun.ocp.solution.solution import Failure
 from mbsrun.ocp.solving.solve import Solver
 from mbsrun.simulation import Motion, Settings, simulate
 from mbsrun.simulation.drive import hold
+from studies.laboratory.case import Finding, Workspace, check, demand, show_failure
+from studies.laboratory.digits import EXPLICIT, RESIDUAL
+from studies.laboratory.mechanisms import write
 
 Array = NDArray[np.float64]
 

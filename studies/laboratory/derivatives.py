@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from mbsgen.roles import Order, name_adjoint, name_derivative, name_kernel
 from mbsrun.external import Mechanism
-from mbsrun.lab.case import Finding, Workspace, check, demand, find_worst, show_failure
-from mbsrun.lab.digits import KERNELS, U
-from mbsrun.lab.mechanisms import describe_spatial, draw, write
 from mbsrun.models import Extent, find_folder
+from studies.laboratory.case import Finding, Workspace, check, demand, find_worst, show_failure
+from studies.laboratory.digits import KERNELS, U
+from studies.laboratory.mechanisms import describe_spatial, draw, write
 
 Array = NDArray[np.float64]
 State = Mapping[str, Any]

@@ -20,12 +20,12 @@ from scipy.integrate import solve_ivp
 from mbsrun.closure import Closure
 from mbsrun.external import Mechanism
 from mbsrun.kernel import KernelError, Kernels
-from mbsrun.lab.case import Finding, Workspace, check, demand, find_worst, show_failure
-from mbsrun.lab.integration import STAYS, swing, swing_freely
-from mbsrun.lab.mechanisms import BRICARD, PENDULUM_ROD, describe_bricard, describe_four_bars, write
 from mbsrun.models import Extent, find_folder
 from mbsrun.simulation import Keeping, Motion, Settings, simulate
 from mbsrun.simulation.drive import hold
+from studies.laboratory.case import Finding, Workspace, check, demand, find_worst, show_failure
+from studies.laboratory.integration import STAYS, swing, swing_freely
+from studies.laboratory.mechanisms import BRICARD, PENDULUM_ROD, describe_bricard, describe_four_bars, write
 
 Array = NDArray[np.float64]
 

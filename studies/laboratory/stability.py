@@ -26,7 +26,6 @@ from mbsgen.documents import Data, read_document
 from mbsgen.errors import InputError
 from mbsrun.closure import has_loops
 from mbsrun.kernel import find_place
-from mbsrun.lab.case import Report
 from mbsrun.measuring import motions
 from mbsrun.measuring.candidates import add_hidden, compile_kernel
 from mbsrun.measuring.fronts import write_error
@@ -38,6 +37,7 @@ from mbsrun.measuring.store import Store
 from mbsrun.models import Extent
 from mbsrun.simulation.course import is_constrained
 from mbsrun.simulation.integration.methods import Formulation
+from studies.laboratory.case import Report
 
 Array = NDArray[np.float64]
 States = dict[str, Array]

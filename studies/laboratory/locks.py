@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from mbsgen.errors import InputError
-from mbsrun.lab.case import Finding, Loss, Workspace, check, demand, show_failure
-from mbsrun.lab.digits import (
+from mbsrun.models import Extent, find_folder
+from studies.laboratory.case import Finding, Loss, Workspace, check, demand, show_failure
+from studies.laboratory.digits import (
     ABOVE,
     EXPLICIT,
     KERNELS,
@@ -20,9 +21,8 @@ from mbsrun.lab.digits import (
     relate,
     specimen,
 )
-from mbsrun.lab.interpretation import eliminate
-from mbsrun.lab.mechanisms import LOCKS, States, describe_elbow, describe_lock, draw, write
-from mbsrun.models import Extent, find_folder
+from studies.laboratory.interpretation import eliminate
+from studies.laboratory.mechanisms import LOCKS, States, describe_elbow, describe_lock, draw, write
 
 DISTANCES = (*(10.0**-k for k in range(1, 13)), 0.0)  # rad
 SIX_DIGITS = 1e-6

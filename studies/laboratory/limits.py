@@ -11,9 +11,6 @@ import json
 from dataclasses import replace
 
 from mbsrun.external import load_on_demand
-from mbsrun.lab.case import Finding, Workspace, check, demand, tell
-from mbsrun.lab.ends import RAILS, draw
-from mbsrun.lab.mechanisms import write
 from mbsrun.ocp.ground.plant import Plant
 from mbsrun.ocp.ground.schemes import Family
 from mbsrun.ocp.problem.problem import (
@@ -30,6 +27,9 @@ from mbsrun.ocp.problem.problem import (
 from mbsrun.ocp.solution.solution import Failure, Solution
 from mbsrun.ocp.solving.solve import solve
 from mbsrun.ocp.statement.statement import read_problem
+from studies.laboratory.case import Finding, Workspace, check, demand, tell
+from studies.laboratory.ends import RAILS, draw
+from studies.laboratory.mechanisms import write
 
 FREE: Range = (-float("inf"), float("inf"))
 WAYS, MASSES, DURATION = (1.0, 2.0), (1.0, 2.0), 2.0

@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 
 from mbsrun.external import Mechanism
 from mbsrun.forms import DIFFERENTIATED
-from mbsrun.lab.case import Finding, Workspace, check, demand, show_failure, tell
-from mbsrun.lab.mechanisms import CART_POLE, LOCKS, SLIDE, UNSTABLE, describe_lock, write
 from mbsrun.models import Extent, find_folder
 from mbsrun.ocp.ground import schemes
 from mbsrun.ocp.ground.schemes import Family
@@ -37,6 +35,8 @@ from mbsrun.ocp.problem.problem import (
 from mbsrun.ocp.solution.solution import Failure, Solution
 from mbsrun.ocp.solving.resimulation import resimulate
 from mbsrun.ocp.solving.solve import Solver, solve
+from studies.laboratory.case import Finding, Workspace, check, demand, show_failure, tell
+from studies.laboratory.mechanisms import CART_POLE, LOCKS, SLIDE, UNSTABLE, describe_lock, write
 
 Array = NDArray[np.float64]
 

@@ -17,10 +17,10 @@ from scipy.linalg import solve_triangular
 from scipy.linalg.lapack import dpotrf
 
 from mbsrun.forms import ACCELERATIONS
-from mbsrun.lab.digits import Specimen, U
-from mbsrun.lab.mechanisms import State, States
 from mbsrun.measuring.candidates import Found
 from mbsrun.measuring.functions import Precision
+from studies.laboratory.digits import Specimen, U
+from studies.laboratory.mechanisms import State, States
 
 Array = NDArray[np.float64]
 

@@ -16,9 +16,16 @@ import pytest
 
 from mbsgen.style import picture_format
 from mbsrun import cli
-from mbsrun.commands import lab as lab_commands
 from mbsrun.external import Mechanism
-from mbsrun.lab import (
+from mbsrun.measuring.sections import read_folders
+from mbsrun.models import find_folder
+from mbsrun.ocp.ground.status import INFEASIBLE
+from mbsrun.ocp.methods import Answer
+from mbsrun.ocp.problem.problem import Representation
+from mbsrun.ocp.solution.solution import Failure, Run, Solution
+from mbsrun.ocp.solving.phases import PhasedSolver
+from mbsrun.ocp.solving.solve import solve
+from studies.laboratory import (
     chains,
     derivatives,
     digits,
@@ -33,19 +40,23 @@ from mbsrun.lab import (
     optimisation,
     orientations,
 )
-from mbsrun.lab.case import Case, Finding, Loss, Trial, Workspace, check, demand, find_worst, judge, show_failure
-from mbsrun.lab.cases import CASES
-from mbsrun.lab.digits import specimen
-from mbsrun.lab.mechanisms import LOCKS, describe_lock, describe_spatial, draw, write
-from mbsrun.lab.runs import name_verdict, open_workspace, run_cases, write_findings
-from mbsrun.measuring.sections import read_folders
-from mbsrun.models import find_folder
-from mbsrun.ocp.ground.status import INFEASIBLE
-from mbsrun.ocp.methods import Answer
-from mbsrun.ocp.problem.problem import Representation
-from mbsrun.ocp.solution.solution import Failure, Run, Solution
-from mbsrun.ocp.solving.phases import PhasedSolver
-from mbsrun.ocp.solving.solve import solve
+from studies.laboratory import command as lab_commands
+from studies.laboratory.case import (
+    Case,
+    Finding,
+    Loss,
+    Trial,
+    Workspace,
+    check,
+    demand,
+    find_worst,
+    judge,
+    show_failure,
+)
+from studies.laboratory.cases import CASES
+from studies.laboratory.digits import specimen
+from studies.laboratory.mechanisms import LOCKS, describe_lock, describe_spatial, draw, write
+from studies.laboratory.runs import name_verdict, open_workspace, run_cases, write_findings
 from tests.picture_kinds import find_kind
 
 Measure = Callable[[Workspace], list[Finding]]

@@ -11,12 +11,12 @@ from dataclasses import replace
 import numpy as np
 
 from mbsgen.errors import MbsError
-from mbsrun.lab.case import Finding, Workspace, check, demand, show_failure
-from mbsrun.lab.digits import KERNELS, specimen
-from mbsrun.lab.mechanisms import describe_spatial, draw
 from mbsrun.library import Compiler, compile_library, find_compiler
 from mbsrun.measuring.candidates import compile_kernel
 from mbsrun.measuring.functions import Variant
+from studies.laboratory.case import Finding, Workspace, check, demand, show_failure
+from studies.laboratory.digits import KERNELS, specimen
+from studies.laboratory.mechanisms import describe_spatial, draw
 
 FAST = "-ffast-math"
 SUM = """

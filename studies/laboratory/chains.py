@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from mbsrun.lab.case import Finding, Loss, Workspace, check, demand, show_failure
-from mbsrun.lab.digits import (
+from studies.laboratory.case import Finding, Loss, Workspace, check, demand, show_failure
+from studies.laboratory.digits import (
     ABOVE,
     KERNELS,
     RESIDUAL,
@@ -19,8 +19,8 @@ from mbsrun.lab.digits import (
     relate,
     specimen,
 )
-from mbsrun.lab.interpretation import LongChain, eliminate
-from mbsrun.lab.mechanisms import States, describe_spatial, describe_straight, draw, round_to_single, write
+from studies.laboratory.interpretation import LongChain, eliminate
+from studies.laboratory.mechanisms import States, describe_spatial, describe_straight, draw, round_to_single, write
 
 ROUNDING, SINGLE = U["float64"], U["float32"]
 RATIOS = (1e4, 1e8, 1e12)

@@ -13,7 +13,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from mbsgen.style import FORMATS, in_format, mix, styled
-from mbsrun.lab.stability import Spot
 from mbsrun.measuring.fronts import write_error
 from mbsrun.measuring.pictures import (
     EDGE,
@@ -30,6 +29,7 @@ from mbsrun.measuring.pictures import (
     write_svg,
 )
 from mbsrun.measuring.sections import NARROW, Table, write_table
+from studies.laboratory.stability import Spot
 
 TITLE = "digits that are right; “status”: the kernel, or the method, says that it gives up"
 GOOD, FEW, BAD, STATUS = "#bfe3d6", "#fbe3b0", "#f3b59a", "#dfe4ea"

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from functools import partial
 
-from mbsrun.lab import (
+from mbsrun.ocp.problem.problem import Representation
+from studies.laboratory import (
     chains,
     compilation,
     derivatives,
@@ -23,8 +24,7 @@ from mbsrun.lab import (
     optimisation,
     orientations,
 )
-from mbsrun.lab.case import Case, Trial
-from mbsrun.ocp.problem.problem import Representation
+from studies.laboratory.case import Case, Trial
 
 LONG = (100, 200, 500, 1000)  # links of chains that are not written in C
 LOOPS = (

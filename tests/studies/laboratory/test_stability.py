@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from mbsrun import cli
-from mbsrun.lab.mechanisms import LOCKS, describe_lock
-from mbsrun.lab.stability import (
+from studies.laboratory.mechanisms import LOCKS, describe_lock
+from studies.laboratory.stability import (
     POSES,
     STEPS,
     Spot,
