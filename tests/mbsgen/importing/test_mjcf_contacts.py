@@ -250,6 +250,25 @@ def test_distances_of_bodies_are_those_of_mujoco(shapes: str, requires: Callable
         assert measure_pairs(kernels, q[None])[0][0, 0] == pytest.approx(least, abs=2e-6)
 
 
+@pytest.mark.parametrize("shapes", ["sphere, box", "box, sphere", "capsule, sphere"])
+def test_spheres_come_first_so_that_all_methods_take_them(shapes: str, tmp_path: Path) -> None:
+    """With the distances of MuJoCo."""
+    first, other = (GEOMS[x].replace('name="g"', f'name="{n}"') for x, n in zip(shapes.split(", "), "gh", strict=True))
+    text = PAIR.replace("FIRST", first).replace("OTHER", other).replace("CORNERS", CORNERS)
+    found = bring(text, tmp_path)
+    assert not any("only the method moreau" in str(x) for x in found.notices)
+    tree, model = build_tree(found.model), mujoco.MjModel.from_xml_string(text)
+    data, random = mujoco.MjData(model), np.random.default_rng(5)
+    for _ in range(10):
+        turns = random.normal(size=(2, 4))
+        turns /= np.linalg.norm(turns, axis=1)[:, None]
+        places = np.array([random.uniform(-0.2, 0.2, 3), [1.2, 0.4, -0.3]])
+        data.qpos[:] = np.hstack([places, turns]).ravel()
+        mujoco.mj_forward(model, data)
+        (gap,) = call(tree, "touching", q=np.hstack([places, np.roll(turns, -1, axis=1)]).ravel())["clearance"]
+        assert gap == pytest.approx(mujoco.mj_geomDistance(model, data, 0, 1, 10.0, None), abs=2e-6)
+
+
 def test_a_box_rests_on_a_box_of_the_world(requires: Callable[[str], str], tmp_path: Path) -> None:
     """Imported without a plane; and without its contacts where planes alone are asked for."""
     requires("cc")

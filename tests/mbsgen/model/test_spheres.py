@@ -302,5 +302,5 @@ def test_faults_are_found_where_they_are(old: str, new: str, path: str, finding:
 def test_python_refuses_what_a_file_may_not_say() -> None:
     bodies = [body("a", prismatic("z"), mass=1)]
     wrong = [contact("hit", "a", size=(1, 1, 1), other=sphere(0), stiffness=1)]
-    with pytest.raises(InputError, match="corners miss a sphere"):
+    with pytest.raises(InputError, match=r"corners miss a sphere.*; or exchange the sides: a contact with a radius"):
         make_model("pair", bodies, gravity=(0, 0, 0), contacts=wrong)

@@ -296,8 +296,11 @@ class Contacts:
 
 
 def _order(first: Geom, other: Geom, given: tuple[Element, Mapping[str, str]] | None = None) -> _Pair:
-    """Put first the geom that moves, and that is not a plane."""
-    return _Pair(other, first, given) if first.stands or first.shape == "plane" else _Pair(first, other, given)
+    """Put first the geom that moves, and that is not a plane; then a sphere, which all methods simulate."""
+    is_better = other.shape == "sphere" and first.shape != "sphere" and not other.stands
+    if first.stands or first.shape == "plane" or is_better:
+        first, other = other, first
+    return _Pair(first, other, given)
 
 
 def _is_of_solids(shape: _Shape | None, other: Geom) -> bool:

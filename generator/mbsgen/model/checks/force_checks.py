@@ -440,9 +440,10 @@ def _check_solids(place: Place, contact: Contact, valuation: Valuation) -> Itera
     if not contact.is_rigid:
         finding = f"a compliant {'box' if own == 'size' else 'hull'} and a {contact.key}"
         finding += f": its corners miss a {contact.key} between them"
-        remedy = (
-            "give restitution in place of stiffness; or give the contact a radius, one for each sphere of the solid"
-        )
+        remedy = "give the contact a radius, one for each sphere of the solid"
+        if isinstance(contact.other, Sphere) and (contact.size is not None or len(contact.points) == 2):
+            remedy = "exchange the sides: a contact with a radius touches a box or a capsule"
+        remedy = f"give restitution in place of stiffness; or {remedy}"
         yield Finding((*place, own), finding, remedy)
         return
     if any(math.isnan(valuation.constant((*place, contact.key), x)) for x in list_expressions(contact)):
