@@ -1,10 +1,9 @@
 /* Small dense blocks: see blocks.h. */
 #include "blocks.h"
 
-#if defined(MBS_SCALAR) && defined(__OPTIMIZE_SIZE__)
-#define WIDE 0 /* without vectors, wider blocks of columns save little time */
-#else
-#define WIDE 1
+#define GRAM_ROWS 128 /* of 500 doubles, half of 1 MiB */
+#if MBS_STAGES_WIDE
+#define WIDE_LANES MBS_STAGES_LINE
 #endif
 
 static void add_columns(int m, const real *restrict A, int lda, real b0, real b1, real b2, real b3, real *restrict c)
@@ -118,116 +117,195 @@ void mbs_stages_scale_row(int width, real factor, const real *row, real *out)
     }
 }
 
-/* For COUNT times LANES columns. Sums stay in registers: their number is constant. */
-#define COMBINE(COUNT)                                                                                                \
-    static void combine_##COUNT(int count, const int *restrict index, int first, const real *restrict factor,         \
-                                size_t stride, const real *restrict rows, size_t ld, real scale, const real *from,    \
-                                real *out)                                                                            \
+/* For COUNT vectors of columns. Sums stay in registers: their number is constant. Each takes rows in TURNS, so that no
+ * sum waits for the one before. */
+#define COMBINE(NAME, VECTOR, COUNT, TURNS)                                                                           \
+    static void NAME(int count, const int *restrict index, int first, const real *restrict factor, size_t stride,     \
+                     const real *restrict rows, size_t ld, real scale, const real *from, real *out)                   \
     {                                                                                                                 \
-        lanes sum[COUNT];                                                                                             \
-        int t, c;                                                                                                     \
+        const real zeros[COUNT * sizeof(VECTOR) / sizeof(real)] = {0};                                                \
+        VECTOR sum[TURNS][COUNT];                                                                                     \
+        int t, c, l;                                                                                                  \
         for (c = 0; c < COUNT; ++c)                                                                                   \
-            sum[c] = ((const lanes *)from)[c];                                                                        \
-        for (t = 0; t < count; ++t) {                                                                                 \
-            const lanes *row = (const lanes *)(rows + (size_t)(index[t] - first) * ld);                               \
+            sum[0][c] = ((const VECTOR *)from)[c];                                                                    \
+        for (l = 1; l < TURNS; ++l)                                                                                   \
+            for (c = 0; c < COUNT; ++c)                                                                               \
+                sum[l][c] = ((const VECTOR *)zeros)[c];                                                               \
+        for (t = 0; t + TURNS <= count; t += TURNS)                                                                   \
+            for (l = 0; l < TURNS; ++l) {                                                                             \
+                const VECTOR *row = (const VECTOR *)(rows + (size_t)(index[t + l] - first) * ld);                     \
+                const real f = factor[(size_t)(t + l) * stride];                                                      \
+                for (c = 0; c < COUNT; ++c)                                                                           \
+                    LANES_ADD(sum[l][c], f, row[c]);                                                                  \
+            }                                                                                                         \
+        for (; t < count; ++t) {                                                                                      \
+            const VECTOR *row = (const VECTOR *)(rows + (size_t)(index[t] - first) * ld);                             \
             const real f = factor[(size_t)t * stride];                                                                \
             for (c = 0; c < COUNT; ++c)                                                                               \
-                LANES_ADD(sum[c], f, row[c]);                                                                         \
+                LANES_ADD(sum[0][c], f, row[c]);                                                                      \
         }                                                                                                             \
         for (c = 0; c < COUNT; ++c) {                                                                                 \
-            LANES_SCALE(sum[c], scale);                                                                               \
-            ((lanes *)out)[c] = sum[c];                                                                               \
+            for (l = 1; l < TURNS; ++l)                                                                               \
+                LANES_PLUS(sum[0][c], sum[l][c]);                                                                     \
+            LANES_SCALE(sum[0][c], scale);                                                                            \
+            ((VECTOR *)out)[c] = sum[0][c];                                                                           \
         }                                                                                                             \
     }
-COMBINE(4)
-COMBINE(2)
-COMBINE(1)
+COMBINE(combine_1, lanes, 1, 1)
+#if MBS_STAGES_WIDE
+COMBINE(combine_wide_4, wide, 4, 2)
+COMBINE(combine_wide_2, wide, 2, 1)
+COMBINE(combine_wide_1, wide, 1, 4)
+#elif MBS_STAGES_ROOMY
+COMBINE(combine_4, lanes, 4, 1)
+COMBINE(combine_2, lanes, 2, 1)
+#endif
 
 void mbs_stages_combine(int width, int count, const int *index, int first, const real *factor, int stride,
                         const real *rows, int ld, real scale, const real *from, real *out)
 {
     const size_t step = (size_t)stride, w = (size_t)ld;
     int c = 0;
-    for (; WIDE && c + 16 <= width; c += 16)
+#if MBS_STAGES_WIDE
+    for (; c + 4 * WIDE_LANES <= width; c += 4 * WIDE_LANES)
+        combine_wide_4(count, index, first, factor, step, rows + c, w, scale, from + c, out + c);
+    for (; c + 2 * WIDE_LANES <= width; c += 2 * WIDE_LANES)
+        combine_wide_2(count, index, first, factor, step, rows + c, w, scale, from + c, out + c);
+    for (; c + WIDE_LANES <= width; c += WIDE_LANES)
+        combine_wide_1(count, index, first, factor, step, rows + c, w, scale, from + c, out + c);
+#elif MBS_STAGES_ROOMY
+    for (; c + 16 <= width; c += 16)
         combine_4(count, index, first, factor, step, rows + c, w, scale, from + c, out + c);
-    for (; WIDE && c + 8 <= width; c += 8)
+    for (; c + 8 <= width; c += 8)
         combine_2(count, index, first, factor, step, rows + c, w, scale, from + c, out + c);
+#endif
     for (; c < width; c += 4)
         combine_1(count, index, first, factor, step, rows + c, w, scale, from + c, out + c);
 }
 
-#define ADD_ROWS(COUNT)                                                                                               \
-    static void add_rows_##COUNT(int count, real factor, const real *restrict by, size_t stride,                      \
-                                 const real *restrict rows, size_t ld, real *restrict out)                            \
+#define ADD_ROWS(NAME, VECTOR, COUNT)                                                                                 \
+    static void NAME(int count, real factor, const real *restrict by, size_t stride, const real *restrict rows,       \
+                     size_t ld, real *restrict out)                                                                   \
     {                                                                                                                 \
-        lanes sum[COUNT], *to = (lanes *)out;                                                                         \
+        VECTOR sum[COUNT], *to = (VECTOR *)out;                                                                       \
         int t, c;                                                                                                     \
         for (c = 0; c < COUNT; ++c)                                                                                   \
             sum[c] = to[c];                                                                                           \
         for (t = 0; t < count; ++t, by += stride, rows += ld) {                                                       \
             const real f = factor * *by;                                                                              \
             for (c = 0; c < COUNT; ++c)                                                                               \
-                LANES_ADD(sum[c], f, ((const lanes *)rows)[c]);                                                       \
+                LANES_ADD(sum[c], f, ((const VECTOR *)rows)[c]);                                                      \
         }                                                                                                             \
         for (c = 0; c < COUNT; ++c)                                                                                   \
             to[c] = sum[c];                                                                                           \
     }
-ADD_ROWS(4)
-ADD_ROWS(2)
-ADD_ROWS(1)
+ADD_ROWS(add_rows_1, lanes, 1)
+#if MBS_STAGES_WIDE
+ADD_ROWS(add_rows_wide_8, wide, 8)
+ADD_ROWS(add_rows_wide_2, wide, 2)
+ADD_ROWS(add_rows_wide_1, wide, 1)
+#elif MBS_STAGES_ROOMY
+ADD_ROWS(add_rows_4, lanes, 4)
+ADD_ROWS(add_rows_2, lanes, 2)
+#endif
 
 void mbs_stages_add_rows(int width, int count, real factor, const real *by, int stride, const real *rows, int ld,
                          real *out)
 {
     const size_t step = (size_t)stride, w = (size_t)ld;
     int c = 0;
-    for (; WIDE && c + 16 <= width; c += 16)
+#if MBS_STAGES_WIDE
+    for (; c + 8 * WIDE_LANES <= width; c += 8 * WIDE_LANES)
+        add_rows_wide_8(count, factor, by, step, rows + c, w, out + c);
+    for (; c + 2 * WIDE_LANES <= width; c += 2 * WIDE_LANES)
+        add_rows_wide_2(count, factor, by, step, rows + c, w, out + c);
+    for (; c + WIDE_LANES <= width; c += WIDE_LANES)
+        add_rows_wide_1(count, factor, by, step, rows + c, w, out + c);
+#elif MBS_STAGES_ROOMY
+    for (; c + 16 <= width; c += 16)
         add_rows_4(count, factor, by, step, rows + c, w, out + c);
-    for (; WIDE && c + 8 <= width; c += 8)
+    for (; c + 8 <= width; c += 8)
         add_rows_2(count, factor, by, step, rows + c, w, out + c);
+#endif
     for (; c < width; c += 4)
         add_rows_1(count, factor, by, step, rows + c, w, out + c);
 }
 
-/* A tile of M, 4 by COUNT times LANES. The factor is early: gcc would read what it need not compute four times. */
-#define GRAM(COUNT)                                                                                                   \
-    static void gram_##COUNT(int m, real factor, const real *restrict S, size_t lds, const real *restrict Z,          \
-                             size_t ldz, real *restrict M, size_t ldm)                                                \
+/* A tile of M, ROWS by COUNT vectors. */
+#define GRAM(NAME, VECTOR, ROWS, COUNT)                                                                               \
+    static void NAME(int m, real factor, const real *restrict S, size_t lds, const real *restrict Z, size_t ldz,      \
+                     real *restrict M, size_t ldm)                                                                    \
     {                                                                                                                 \
-        const real zeros[COUNT * MBS_STAGES_LANES] = {0};                                                             \
-        lanes sum[4][COUNT];                                                                                          \
+        const real zeros[COUNT * sizeof(VECTOR) / sizeof(real)] = {0};                                                \
+        VECTOR sum[ROWS][COUNT];                                                                                      \
         int j, b, c;                                                                                                  \
-        for (b = 0; b < 4; ++b)                                                                                       \
+        for (b = 0; b < ROWS; ++b)                                                                                    \
             for (c = 0; c < COUNT; ++c)                                                                               \
-                sum[b][c] = ((const lanes *)zeros)[c];                                                                \
+                sum[b][c] = ((const VECTOR *)zeros)[c];                                                               \
         for (j = 0; j < m; ++j, S += lds, Z += ldz)                                                                   \
-            for (c = 0; c < COUNT; ++c) {                                                                             \
-                lanes z = ((const lanes *)Z)[c];                                                                      \
-                LANES_SCALE(z, factor);                                                                               \
-                LANES_ADD(sum[0][c], S[0], z);                                                                        \
-                LANES_ADD(sum[1][c], S[1], z);                                                                        \
-                LANES_ADD(sum[2][c], S[2], z);                                                                        \
-                LANES_ADD(sum[3][c], S[3], z);                                                                        \
-            }                                                                                                         \
-        for (b = 0; b < 4; ++b, M += ldm)                                                                             \
+            for (b = 0; b < ROWS; ++b)                                                                                \
+                for (c = 0; c < COUNT; ++c)                                                                           \
+                    LANES_ADD(sum[b][c], S[b], ((const VECTOR *)Z)[c]);                                               \
+        for (b = 0; b < ROWS; ++b, M += ldm)                                                                          \
             for (c = 0; c < COUNT; ++c)                                                                               \
-                LANES_PLUS(((lanes *)M)[c], sum[b][c]);                                                               \
+                LANES_ADD(((VECTOR *)M)[c], factor, sum[b][c]);                                                       \
     }
-GRAM(2)
-GRAM(1)
+GRAM(gram_4_2, lanes, 4, 2)
+GRAM(gram_4_1, lanes, 4, 1)
+#if MBS_STAGES_WIDE
+GRAM(wide_8_3, wide, 8, 3)
+GRAM(wide_8_2, wide, 8, 2)
+GRAM(wide_8_1, wide, 8, 1)
+GRAM(wide_4_2, wide, 4, 2)
+GRAM(wide_4_1, wide, 4, 1)
+GRAM(gram_8_1, lanes, 8, 1)
+
+/* The first columns, as many as make whole vectors, of a tile of 8 rows or 4; returns how many. */
+static int gram_widely(int m, int rows, int columns, real factor, const real *S, size_t lds, const real *Z, size_t ldz,
+                       real *M, size_t ldm)
+{
+    int c = 0;
+    for (; rows == 8 && c + 3 * WIDE_LANES <= columns; c += 3 * WIDE_LANES)
+        wide_8_3(m, factor, S, lds, Z + c, ldz, M + c, ldm);
+    for (; c + 2 * WIDE_LANES <= columns; c += 2 * WIDE_LANES)
+        (rows == 8 ? wide_8_2 : wide_4_2)(m, factor, S, lds, Z + c, ldz, M + c, ldm);
+    for (; c + WIDE_LANES <= columns; c += WIDE_LANES)
+        (rows == 8 ? wide_8_1 : wide_4_1)(m, factor, S, lds, Z + c, ldz, M + c, ldm);
+    for (; rows == 8 && c < columns; c += MBS_STAGES_LANES)
+        gram_8_1(m, factor, S, lds, Z + c, ldz, M + c, ldm);
+    return c;
+}
+#endif
+
+/* The same for rows of S and Z that stay in the cache while all tiles read them. */
+static void gram_near(int m, int rows, int width, int lower, real factor, const real *S, size_t lds, const real *Z,
+                      size_t ldz, real *M, size_t ldm)
+{
+    int b, c, tile;
+    for (b = 0; b < rows; b += tile, M += (size_t)tile * ldm) {
+        int columns;
+        tile = MBS_STAGES_WIDE && b + 8 <= rows ? 8 : 4;
+        columns = lower ? b + tile : width;
+        c = 0;
+#if MBS_STAGES_WIDE
+        c = gram_widely(m, tile, columns, factor, S + b, lds, Z, ldz, M, ldm);
+#endif
+        for (; MBS_STAGES_ROOMY && c + 8 <= columns; c += 8)
+            gram_4_2(m, factor, S + b, lds, Z + c, ldz, M + c, ldm);
+        for (; c < columns; c += 4)
+            gram_4_1(m, factor, S + b, lds, Z + c, ldz, M + c, ldm);
+    }
+}
 
 void mbs_stages_gram(int m, int rows, int width, int lower, real factor, const real *S, int lds, const real *Z, int ldz,
                      real *M, int ldm)
 {
-    const size_t s = (size_t)lds, z = (size_t)ldz, l = (size_t)ldm;
-    int b, c;
-    for (b = 0; b < rows; b += 4, M += 4 * l) {
-        const int columns = lower ? b + 4 : width;
-        for (c = 0; WIDE && c + 8 <= columns; c += 8)
-            gram_2(m, factor, S + b, s, Z + c, z, M + c, l);
-        for (; c < columns; c += 4)
-            gram_1(m, factor, S + b, s, Z + c, z, M + c, l);
-    }
+    const size_t s = (size_t)lds, z = (size_t)ldz;
+    const int near = MBS_STAGES_ROOMY ? GRAM_ROWS : m;
+    int j;
+    for (j = 0; j + near < m; j += near)
+        gram_near(near, rows, width, lower, factor, S + (size_t)j * s, s, Z + (size_t)j * z, z, M, (size_t)ldm);
+    gram_near(m - j, rows, width, lower, factor, S + (size_t)j * s, s, Z + (size_t)j * z, z, M, (size_t)ldm);
 }
 
 void mbs_stages_mirror(int n, real *M, int ld)

@@ -32,8 +32,26 @@ typedef mbs_stages_real real;
 #if defined(__arm__) && !defined(__ARM_NEON) && defined(__OPTIMIZE_SIZE__) && !defined(MBS_SCALAR)
 #define MBS_SCALAR /* no vectors: loops are smaller, and a few per cent slower */
 #endif
+/* Where registers hold 64 bytes, there are vectors of as many, and long rows begin with them. */
+#ifndef MBS_STAGES_WIDE
+#if defined(__AVX512F__) && defined(__GNUC__) && !defined(MBS_SCALAR)
+#define MBS_STAGES_WIDE 1
+#else
+#define MBS_STAGES_WIDE 0
+#endif
+#endif
+#if defined(MBS_SCALAR) && defined(__OPTIMIZE_SIZE__)
+#define MBS_STAGES_ROOMY 0 /* without vectors, larger blocks save little time */
+#else
+#define MBS_STAGES_ROOMY 1
+#endif
+#define MBS_STAGES_LINE (MBS_STAGES_WIDE ? 64 / (int)sizeof(real) : MBS_STAGES_LANES)
+
 #if defined(__GNUC__) && !defined(MBS_SCALAR)
 typedef real lanes __attribute__((vector_size(MBS_STAGES_LANES * sizeof(real)), aligned(sizeof(real)), may_alias));
+#if MBS_STAGES_WIDE
+typedef real wide __attribute__((vector_size(64), aligned(sizeof(real)), may_alias));
+#endif
 #define LANES_OF(a, b, c, d) {a, b, c, d}
 #define LANES_ADD(a, x, b) ((a) += (x) * (b))
 #define LANES_ADD_EACH(a, x, b) ((a) += (x) * (b))
@@ -73,6 +91,12 @@ void mbs_stages_lower_transposed(int n, const real *L, int ldl, real *x);
 /* For the operations below, matrices lie row by row. A row has a `width`, a multiple of MBS_STAGES_LANES: zeros fill it
  * up. Rows begin `ld` numbers apart. */
 int mbs_stages_width(int n);
+
+/* The same in lines, multiples of MBS_STAGES_LINE. */
+static inline int mbs_stages_lines(int n)
+{
+    return MBS_STAGES_WIDE ? (n + MBS_STAGES_LINE - 1) / MBS_STAGES_LINE * MBS_STAGES_LINE : mbs_stages_width(n);
+}
 
 real mbs_stages_dot(int width, const real *a, const real *b);
 

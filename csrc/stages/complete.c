@@ -170,9 +170,9 @@ static void subtract(int width, real factor, const real *restrict a, real *restr
         b[i] -= factor * a[i];
 }
 
-void mbs_stages_solve_rows_completely(const mbs_stages_complete *c, int width, real *B, real *X)
+void mbs_stages_solve_rows_completely(const mbs_stages_complete *c, int width, int ld, real *B, real *X)
 {
-    const size_t w = (size_t)width;
+    const size_t w = (size_t)ld;
     int i, j;
     for (i = 0; i < c->rank; ++i)
         for (j = 0; j < i; ++j)
@@ -180,10 +180,10 @@ void mbs_stages_solve_rows_completely(const mbs_stages_complete *c, int width, r
                      B + (size_t)c->row[i] * w);
     for (i = c->n - 1; i >= 0; --i) {
         real *x = X + (size_t)c->column[i] * w;
-        memset(x, 0, w * sizeof *x);
+        memset(x, 0, (size_t)width * sizeof *x);
         if (i >= c->rank)
             continue;
-        memcpy(x, B + (size_t)c->row[i] * w, w * sizeof *x);
+        memcpy(x, B + (size_t)c->row[i] * w, (size_t)width * sizeof *x);
         for (j = i + 1; j < c->rank; ++j)
             subtract(width, c->a[(size_t)i * (size_t)c->n + (size_t)j], X + (size_t)c->column[j] * w, x);
         for (j = 0; j < width; ++j)

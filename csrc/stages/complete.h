@@ -32,7 +32,8 @@ real mbs_stages_solve_completely(const mbs_stages_complete *c, const real *b, re
 /* b by columns, x by rows */
 void mbs_stages_solve_completely_transposed(const mbs_stages_complete *c, const real *b, real *x);
 
-/* The same for right-hand sides of `width` numbers a row: B by rows (overwritten), X by columns. */
-void mbs_stages_solve_rows_completely(const mbs_stages_complete *c, int width, real *B, real *X);
+/* The same for right-hand sides of `width` numbers a row, which begin `ld` apart: B by rows (overwritten), X by
+ * columns. */
+void mbs_stages_solve_rows_completely(const mbs_stages_complete *c, int width, int ld, real *B, real *X);
 
 #endif

@@ -14,7 +14,7 @@
 /* The row of V of inner variable i of all variables. */
 static real *row_of_v(const mbs_stages_stage *s, int i)
 {
-    return s->inner.V + (size_t)(i - s->nx) * (size_t)s->dense.width;
+    return s->inner.V + (size_t)(i - s->nx) * (size_t)s->inner.ld;
 }
 
 /* The part of it that is not 0. */
@@ -147,11 +147,13 @@ static mbs_stages_complete factorise_completely(const mbs_stages_recursion *r, c
 /* Whether inner variables grow by more than `most` with outer ones. */
 static int grows(const mbs_stages_stage *s, real most)
 {
-    const size_t count = (size_t)s->inner.n * (size_t)s->dense.width;
-    size_t i;
-    for (i = 0; i < count; ++i)
-        if (real_abs(s->inner.V[i]) > most)
-            return 1;
+    int i, j;
+    for (i = s->nx; i < s->nx + s->inner.n; ++i) {
+        const real *row = row_of_v(s, i);
+        for (j = 0; j < s->dense.width; ++j)
+            if (real_abs(row[j]) > most)
+                return 1;
+    }
     return 0;
 }
 
@@ -188,6 +190,13 @@ static void set_outer_sizes(mbs_stages_stage *s)
     s->dense.n = s->nx + s->dense.nv;
     s->dense.ne = s->ne - s->inner.n + s->inner.deferred;
     s->dense.width = mbs_stages_width(s->dense.n);
+    s->inner.ld = mbs_stages_lines(s->dense.width - s->inner.skip) + mbs_stages_lines(s->inner.skip);
+}
+
+/* Rows for right-hand sides, laid out as rows of V are. */
+static real *right_of(const mbs_stages_scratch *m, const mbs_stages_stage *s)
+{
+    return m->right + (MBS_STAGES_WIDE ? s->inner.shift : 0);
 }
 
 /* B = -r_u, in the order of the rows of r. */
@@ -195,18 +204,19 @@ static void write_right(const mbs_stages_scratch *m, const mbs_stages_stage *s)
 {
     const mbs_stages_inner *y = &s->inner;
     const mbs_stages_matrix *E = &s->E;
-    const size_t width = (size_t)s->dense.width;
+    const size_t ld = (size_t)y->ld;
+    real *right = right_of(m, s);
     int i, j, l;
-    memset(m->right, 0, (size_t)y->n * width * sizeof *m->right);
+    memset(right, 0, ((size_t)y->n * ld - (size_t)y->shift) * sizeof *right);
     for (j = 0; j < s->n; ++j) {
-        real *column = m->right + (j < s->nx ? j : j - y->n);
+        real *column = right + (j < s->nx ? j : j - y->n);
         for (l = E->begin[j]; !is_inner(s, j) && l < E->end[j] && E->row[l] < y->n; ++l)
-            column[(size_t)E->row[l] * width] = -E->value[l];
+            column[(size_t)E->row[l] * ld] = -E->value[l];
     }
     for (i = 0; i < y->deferred; ++i) {
         j = s->nx + y->variable[i];
         for (l = E->begin[j]; l < E->end[j] && E->row[l] < y->n; ++l)
-            m->right[(size_t)E->row[l] * width + (size_t)(s->n - y->n + i)] = -E->value[l];
+            right[(size_t)E->row[l] * ld + (size_t)(s->n - y->n + i)] = -E->value[l];
     }
 }
 
@@ -229,26 +239,11 @@ static const real *lane_of(const mbs_stages_inner *y, const real *numbers, int t
 static void solve_rows(const mbs_stages_scratch *m, const mbs_stages_stage *s)
 {
     const mbs_stages_inner *y = &s->inner;
-    const mbs_stages_pivots *p = y->pivots;
-    const mbs_stages_factors *f = &y->factors;
-    const int ld = s->dense.width, width = ld - y->skip;
-    real *B = m->right + y->skip, *S = read_part_of_v(s, s->nx);
     int i;
-    for (i = 0; i < y->n; ++i) {
-        real *row = B + (size_t)p->row[i] * (size_t)ld;
-        mbs_stages_combine(width, p->lower[i + 1] - p->lower[i], p->lower_row + p->lower[i], 0,
-                           lane_of(y, f->lower, p->lower[i]), MBS_STAGES_TOGETHER, B, ld, *lane_of(y, f->inverse, i),
-                           row, row);
-    }
-    for (i = y->n - 1; i >= 0; --i) {
-        real *to = S + (size_t)p->column[i] * (size_t)ld;
-        int j;
-        for (j = 0; j < y->skip; ++j)
-            to[j - y->skip] = 0;
-        mbs_stages_combine(width, p->upper[i + 1] - p->upper[i], p->upper_column + p->upper[i], 0,
-                           lane_of(y, f->upper, p->upper[i]), MBS_STAGES_TOGETHER, S, ld, 1,
-                           B + (size_t)p->row[i] * (size_t)ld, to);
-    }
+    mbs_stages_solve_rows(y->pivots, &y->factors, y->lane, s->dense.width - y->skip, y->ld, right_of(m, s) + y->skip,
+                          read_part_of_v(s, s->nx));
+    for (i = 0; i < y->n && y->skip > 0; ++i)
+        memset(row_of_v(s, s->nx + i), 0, (size_t)y->skip * sizeof *y->V);
 }
 
 int mbs_stages_group(const mbs_stages_recursion *r, int k)
@@ -296,20 +291,22 @@ static void find_variation(const mbs_stages_recursion *r, const mbs_stages_scrat
         defer(s, &c);
         set_outer_sizes(s);
         write_right(m, s);
-        mbs_stages_solve_rows_completely(&c, s->dense.width, m->right, row_of_v(s, s->nx));
+        mbs_stages_solve_rows_completely(&c, s->dense.width, y->ld, right_of(m, s), row_of_v(s, s->nx));
     } else {
         set_outer_sizes(s);
         write_right(m, s);
         solve_rows(m, s);
     }
     write_units(s);
+    mbs_stages_find_few(&y->few, y->n, s->dense.width - y->skip, read_part_of_v(s, s->nx), y->ld);
 }
 
 /* to += factor times row j of V */
 static void add_variation(const mbs_stages_stage *s, int j, real factor, real *to)
 {
     if (is_inner(s, j))
-        mbs_stages_add_row(s->dense.width - s->inner.skip, factor, read_part_of_v(s, j), to + s->inner.skip);
+        mbs_stages_add_row_few(&s->inner.few, j - s->nx, s->dense.width - s->inner.skip, factor, read_part_of_v(s, j),
+                               to + s->inner.skip);
     else
         to[mbs_stages_outer(s, j)] += factor;
 }
@@ -367,6 +364,7 @@ static void reduce_jacobians(const mbs_stages_recursion *r, const mbs_stages_scr
     if (s->dense.ne > 0)
         clear_rounding(r, m, s, m->spots);
     reduce_rows(s, &s->F, NULL, s->next, s->dense.F);
+    mbs_stages_find_few(&s->dense.few, s->next, s->dense.width, s->dense.F, s->dense.width);
     reduce_rows(s, &s->G, NULL, s->ng, s->dense.G);
 }
 
@@ -408,7 +406,7 @@ static void add_outer_cost(const mbs_stages_recursion *r, const mbs_stages_scrat
     const mbs_stages_matrix *H = &s->H;
     const column c = find_column(r, s, j);
     const int width = s->dense.width, skip = s->inner.skip, at = mbs_stages_outer(s, j);
-    real *to = s->dense.H + at, *row = m->right;
+    real *to = s->dense.H + at, *row = right_of(m, s);
     int l;
     to[(size_t)at * (size_t)width] += c.diagonal;
     for (l = c.begin; l < c.inner; ++l)
@@ -419,43 +417,52 @@ static void add_outer_cost(const mbs_stages_recursion *r, const mbs_stages_scrat
         return;
     memset(row, 0, (size_t)width * sizeof *row);
     mbs_stages_combine(width - skip, c.after - c.inner, H->row + c.inner, s->nx, H->value + c.inner, 1,
-                       s->inner.V + skip, width, 1, row + skip, row + skip);
+                       s->inner.V + skip, s->inner.ld, 1, row + skip, row + skip);
     add_to_both(s->dense.n, row, at, s->dense.H, width);
 }
 
-/* Row j, of an inner variable, of (H + diagonal) V: from the diagonal on, and `share` of the diagonal; columns from `skip`
- * on. */
-static void find_row(const mbs_stages_recursion *r, const mbs_stages_stage *s, int j, real share, real *row)
+/* Rows of inner variables of (H + diagonal) V: from the diagonal on, and `share` of the diagonal; columns from `skip` on.
+ * Works in spots and vector[5]. */
+static void find_rows(const mbs_stages_recursion *r, const mbs_stages_scratch *m, const mbs_stages_stage *s, real share,
+                      real *Z)
 {
     const mbs_stages_matrix *H = &s->H;
-    const column c = find_column(r, s, j);
-    const int skip = s->inner.skip, width = s->dense.width - skip;
-    int l;
-    mbs_stages_scale_row(width, share * c.diagonal, read_part_of_v(s, j), row);
-    for (l = c.after; l < c.end; ++l)
-        row[H->row[l] - s->inner.n - skip] += H->value[l];
-    if (c.after > c.inner)
-        mbs_stages_combine(width, c.after - c.inner, H->row + c.inner, s->nx, H->value + c.inner, 1,
-                           s->inner.V + skip, s->dense.width, 1, row, row);
+    const mbs_stages_inner *y = &s->inner;
+    int *begin = m->spots, *end = m->spots + y->n;
+    real *diagonal = m->vector[5];
+    mbs_stages_part part;
+    int j, l;
+    for (j = 0; j < y->n; ++j) {
+        const column c = find_column(r, s, s->nx + j);
+        begin[j] = c.inner;
+        end[j] = c.after;
+        diagonal[j] = share * c.diagonal;
+    }
+    part.first = s->nx;
+    part.count = y->n;
+    part.begin = begin;
+    part.end = end;
+    part.diagonal = diagonal;
+    mbs_stages_matrix_multiply_rows(H, &part, s->dense.width - y->skip, y->ld, y->V + y->skip, Z);
+    for (j = 0; j < y->n && !r->plain; ++j)
+        for (l = end[j]; l < H->end[s->nx + j]; ++l)
+            Z[(size_t)j * (size_t)y->ld + (size_t)(H->row[l] - y->n - y->skip)] += H->value[l];
 }
 
 /* The lower triangle of VT (H + diagonal) V: of inner variables ST Z + ZT S, or ST Z where they share no curvature. */
 static void reduce_cost(const mbs_stages_recursion *r, const mbs_stages_scratch *m, mbs_stages_stage *s)
 {
     const int inner = s->inner.n, width = s->dense.width, skip = s->inner.skip, columns = width - skip;
-    const int curved = s->inner.curved && !r->plain;
-    real *S = s->inner.V + skip, *Z = m->right + skip;
+    const int curved = s->inner.curved && !r->plain, ld = s->inner.ld;
+    real *S = s->inner.V + skip, *Z = right_of(m, s) + skip;
     real *H = s->dense.H, *to = H + (size_t)skip * (size_t)(width + 1);
     int j;
     memset(H, 0, (size_t)s->dense.n * (size_t)width * sizeof *H);
     for (j = 0; j < s->n; ++j)
         if (!is_inner(s, j))
             add_outer_cost(r, m, s, j);
-    for (j = 0; j < inner; ++j)
-        find_row(r, s, s->nx + j, curved ? (real)0.5 : 1, Z + (size_t)j * (size_t)width);
-    mbs_stages_gram(inner, columns, columns, 1, 1, S, width, Z, width, to, width);
-    if (curved)
-        mbs_stages_gram(inner, columns, columns, 1, 1, Z, width, S, width, to, width);
+    find_rows(r, m, s, curved ? (real)0.5 : 1, Z);
+    mbs_stages_square_few(&s->inner.few, inner, columns, curved, S, ld, Z, ld, to, width);
 }
 
 /* Copy matrices of a stage without inner variables into dense ones. */
@@ -464,6 +471,7 @@ static void spread_matrices(const mbs_stages_recursion *r, const mbs_stages_stag
     const mbs_stages_dense *d = &s->dense;
     mbs_stages_matrix_spread(&s->E, 0, d->E, d->width);
     mbs_stages_matrix_spread(&s->F, 0, d->F, d->width);
+    mbs_stages_find_few(&d->few, s->next, d->width, d->F, d->width);
     mbs_stages_matrix_spread(&s->G, 0, d->G, d->width);
     if (!r->plain)
         mbs_stages_matrix_spread(&s->H, 1, d->H, d->width);
@@ -566,8 +574,8 @@ void mbs_stages_condense_gradient(const mbs_stages_stage *s, const real *gradien
     memcpy(out, gradient, (size_t)s->nx * sizeof *out);
     for (i = s->nx + y->n; i < s->n; ++i)
         out[i - y->n] = gradient[i];
-    mbs_stages_add_rows(s->dense.width - y->skip, y->n, 1, gradient + s->nx, 1, y->V + y->skip, s->dense.width,
-                        out + y->skip);
+    mbs_stages_add_rows_few(&y->few, y->n, s->dense.width - y->skip, gradient + s->nx, y->V + y->skip, y->ld,
+                            out + y->skip);
 }
 
 void mbs_stages_expand(const mbs_stages_stage *s, const real *outer, real *z)
@@ -576,7 +584,8 @@ void mbs_stages_expand(const mbs_stages_stage *s, const real *outer, real *z)
     int i;
     for (i = 0; i < s->n; ++i)
         z[i] = is_inner(s, i) ? y->constant[i - s->nx] +
-                                    mbs_stages_dot(s->dense.width - y->skip, read_part_of_v(s, i), outer + y->skip)
+                                    mbs_stages_dot_few(&y->few, i - s->nx, s->dense.width - y->skip,
+                                                       read_part_of_v(s, i), outer + y->skip)
                               : outer[mbs_stages_outer(s, i)];
 }
 

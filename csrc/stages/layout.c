@@ -4,7 +4,13 @@
 #include <string.h>
 
 #define SEARCHES MBS_STAGES_SEARCHES
+#if MBS_STAGES_WIDE
+#define ALIGNMENT 64 /* a line */
+#define SPACE ALIGNMENT /* before the first one: the caller's memory need not begin with a line */
+#else
 #define ALIGNMENT ((SEARCHES ? 2 : 1) * sizeof(void *)) /* small machines have small pointers, and no vectors */
+#define SPACE 0
+#endif
 
 /* Memory from `base` on, or only a count of it where base is NULL. */
 typedef struct {
@@ -274,6 +280,12 @@ static int is_curved(const mbs_stages_stage *t)
     return 0;
 }
 
+static void lay_few(arena *a, mbs_stages_few *f, int rows)
+{
+    f->count = MBS_STAGES_LOOKS ? take(a, (size_t)rows, sizeof(int)) : NULL;
+    f->column = MBS_STAGES_LOOKS ? take(a, (size_t)rows * MBS_STAGES_FEW, sizeof(int)) : NULL;
+}
+
 static void lay_inner(arena *a, mbs_stages *s, const mbs_stages_problem *problem, int k, int lane, mbs_stages_stage *t)
 {
     mbs_stages_inner *y = &t->inner;
@@ -290,8 +302,12 @@ static void lay_inner(arena *a, mbs_stages *s, const mbs_stages_problem *problem
     y->lane = lane;
     y->skip = count_unread(t);
     y->curved = is_curved(t);
-    y->V = numbers(a, y->n, mbs_stages_width(t->n - y->n + y->spare));
+    y->ld = mbs_stages_lines(mbs_stages_width(t->n - y->n + y->spare) - y->skip) + mbs_stages_lines(y->skip);
+    y->shift = mbs_stages_lines(y->skip) - y->skip;
+    y->V = numbers(a, y->n, y->ld);
+    y->V = y->V ? y->V + y->shift : NULL;
     y->constant = numbers(a, y->n, 1);
+    lay_few(a, &y->few, y->n);
     y->variable = take(a, (size_t)y->spare, sizeof(int));
     y->row = take(a, (size_t)y->spare, sizeof(int));
     y->stale = 1;
@@ -309,6 +325,7 @@ static void lay_dense(arena *a, mbs_stages_stage *t)
     d->E = numbers(a, ne, width);
     d->F = numbers(a, t->next, width);
     d->G = numbers(a, t->ng, width);
+    lay_few(a, &d->few, t->next);
     d->H = numbers(a, t->inner.n > 0 ? width : n, width); /* products for inner variables fill whole lanes of rows */
 }
 
@@ -370,7 +387,7 @@ static void extend(extent *e, const mbs_stages_stage *t)
     if (t->inner.n == 0)
         return;
     e->inner = larger(e->inner, t->inner.n);
-    e->width = larger(e->width, outer);
+    e->width = larger(e->width, t->inner.ld);
 }
 
 static int count_workers(const mbs_stages_problem *problem)
@@ -542,7 +559,7 @@ size_t mbs_stages_bytes(const mbs_stages_problem *problem)
         return 0;
     take(&a, 1, sizeof s);
     lay(&a, problem, &s);
-    return a.used;
+    return a.used + SPACE;
 }
 
 mbs_stages *mbs_stages_create(const mbs_stages_problem *problem, void *workspace, size_t bytes)
@@ -554,6 +571,9 @@ mbs_stages *mbs_stages_create(const mbs_stages_problem *problem, void *workspace
         return NULL;
     memset(workspace, 0, needed);
     a.base = workspace;
+#if SPACE > 0
+    a.base += SPACE - (size_t)a.base % SPACE;
+#endif
     s = take(&a, 1, sizeof *s);
     lay(&a, problem, s);
     return s;

@@ -76,6 +76,74 @@ void mbs_stages_matrix_apply_symmetric(const mbs_stages_matrix *A, const real *x
     }
 }
 
+#if MBS_STAGES_ROOMY
+/* For COUNT vectors of columns. */
+#define MULTIPLY_ROWS(NAME, VECTOR, COUNT)                                                                            \
+    static void NAME(const mbs_stages_matrix *A, const mbs_stages_part *part, size_t ld, const real *restrict V,      \
+                     real *restrict Z)                                                                                \
+    {                                                                                                                 \
+        const real *from = V;                                                                                         \
+        int j, l, c;                                                                                                  \
+        for (j = 0; j < part->count; ++j, from += ld, Z += ld) {                                                      \
+            VECTOR sum[COUNT];                                                                                        \
+            for (c = 0; c < COUNT; ++c) {                                                                             \
+                sum[c] = ((const VECTOR *)from)[c];                                                                   \
+                LANES_SCALE(sum[c], part->diagonal[j]);                                                               \
+            }                                                                                                         \
+            for (l = part->begin[j]; l < part->end[j]; ++l) {                                                         \
+                const VECTOR *row = (const VECTOR *)(V + (size_t)(A->row[l] - part->first) * ld);                     \
+                const real a = A->value[l];                                                                           \
+                for (c = 0; c < COUNT; ++c)                                                                           \
+                    LANES_ADD(sum[c], a, row[c]);                                                                     \
+            }                                                                                                         \
+            for (c = 0; c < COUNT; ++c)                                                                               \
+                ((VECTOR *)Z)[c] = sum[c];                                                                            \
+        }                                                                                                             \
+    }
+MULTIPLY_ROWS(multiply_lanes, lanes, 1)
+#if MBS_STAGES_WIDE
+MULTIPLY_ROWS(multiply_wide_4, wide, 4)
+MULTIPLY_ROWS(multiply_wide_2, wide, 2)
+MULTIPLY_ROWS(multiply_wide_1, wide, 1)
+#else
+MULTIPLY_ROWS(multiply_lanes_4, lanes, 4)
+MULTIPLY_ROWS(multiply_lanes_2, lanes, 2)
+#endif
+
+void mbs_stages_matrix_multiply_rows(const mbs_stages_matrix *A, const mbs_stages_part *part, int width, int ld,
+                                     const real *V, real *Z)
+{
+    const size_t w = (size_t)ld;
+    int c = 0;
+#if MBS_STAGES_WIDE
+    for (; c + 4 * MBS_STAGES_LINE <= width; c += 4 * MBS_STAGES_LINE)
+        multiply_wide_4(A, part, w, V + c, Z + c);
+    for (; c + 2 * MBS_STAGES_LINE <= width; c += 2 * MBS_STAGES_LINE)
+        multiply_wide_2(A, part, w, V + c, Z + c);
+    for (; c + MBS_STAGES_LINE <= width; c += MBS_STAGES_LINE)
+        multiply_wide_1(A, part, w, V + c, Z + c);
+#else
+    for (; c + 4 * MBS_STAGES_LANES <= width; c += 4 * MBS_STAGES_LANES)
+        multiply_lanes_4(A, part, w, V + c, Z + c);
+    for (; c + 2 * MBS_STAGES_LANES <= width; c += 2 * MBS_STAGES_LANES)
+        multiply_lanes_2(A, part, w, V + c, Z + c);
+#endif
+    for (; c < width; c += MBS_STAGES_LANES)
+        multiply_lanes(A, part, w, V + c, Z + c);
+}
+#else
+void mbs_stages_matrix_multiply_rows(const mbs_stages_matrix *A, const mbs_stages_part *part, int width, int ld,
+                                     const real *V, real *Z)
+{
+    int j;
+    for (j = 0; j < part->count; ++j, Z += ld) {
+        const int begin = part->begin[j];
+        mbs_stages_scale_row(width, part->diagonal[j], V + (size_t)j * (size_t)ld, Z);
+        mbs_stages_combine(width, part->end[j] - begin, A->row + begin, part->first, A->value + begin, 1, V, ld, 1, Z, Z);
+    }
+}
+#endif
+
 void mbs_stages_matrix_scale(const mbs_stages_matrix *A, const real *row, const real *column)
 {
     int i, j, l;

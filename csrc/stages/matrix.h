@@ -22,6 +22,16 @@ void mbs_stages_matrix_apply_both(const mbs_stages_matrix *A, const real *x, rea
 /* y += A x, of the lower triangle of a symmetric A */
 void mbs_stages_matrix_apply_symmetric(const mbs_stages_matrix *A, const real *x, real *y);
 
+/* Row j of Z = diagonal[j] times row j of V, plus A_lj times row l of V for the nonzeros of A's column j from begin[j] up to
+ * end[j]; j and l count from `first` on. Rows of `width` numbers begin `ld` apart. */
+typedef struct {
+    int first, count;
+    const int *begin, *end;
+    const real *diagonal;
+} mbs_stages_part;
+void mbs_stages_matrix_multiply_rows(const mbs_stages_matrix *A, const mbs_stages_part *part, int width, int ld,
+                                     const real *V, real *Z);
+
 /* Multiply row i by row[i], and column j by column[j]. */
 void mbs_stages_matrix_scale(const mbs_stages_matrix *A, const real *row, const real *column);
 

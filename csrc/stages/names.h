@@ -4,7 +4,9 @@
 
 #if defined(MBS_STAGES_FLOAT) && !defined(MBS_PRIVATE_H)
 #define mbs_stages_add_row mbs_stages_add_row_float
+#define mbs_stages_add_row_few mbs_stages_add_row_few_float
 #define mbs_stages_add_rows mbs_stages_add_rows_float
+#define mbs_stages_add_rows_few mbs_stages_add_rows_few_float
 #define mbs_stages_add_stage_both mbs_stages_add_stage_both_float
 #define mbs_stages_add_transposed mbs_stages_add_transposed_float
 #define mbs_stages_after_group mbs_stages_after_group_float
@@ -25,9 +27,11 @@
 #define mbs_stages_condense_gradient mbs_stages_condense_gradient_float
 #define mbs_stages_condense_right mbs_stages_condense_right_float
 #define mbs_stages_correct_products mbs_stages_correct_products_float
+#define mbs_stages_count_alike mbs_stages_count_alike_float
 #define mbs_stages_descent mbs_stages_descent_float
 #define mbs_stages_deviate mbs_stages_deviate_float
 #define mbs_stages_dot mbs_stages_dot_float
+#define mbs_stages_dot_few mbs_stages_dot_few_float
 #define mbs_stages_dual_boundary mbs_stages_dual_boundary_float
 #define mbs_stages_estimate_multipliers mbs_stages_estimate_multipliers_float
 #define mbs_stages_expand mbs_stages_expand_float
@@ -39,10 +43,12 @@
 #define mbs_stages_filter_accepts mbs_stages_filter_accepts_float
 #define mbs_stages_filter_add mbs_stages_filter_add_float
 #define mbs_stages_filter_clear mbs_stages_filter_clear_float
+#define mbs_stages_find_few mbs_stages_find_few_float
 #define mbs_stages_find_lagrangian mbs_stages_find_lagrangian_float
 #define mbs_stages_for_all mbs_stages_for_all_float
 #define mbs_stages_forget_orders mbs_stages_forget_orders_float
 #define mbs_stages_gram mbs_stages_gram_float
+#define mbs_stages_gram_few mbs_stages_gram_few_float
 #define mbs_stages_group mbs_stages_group_float
 #define mbs_stages_hessian mbs_stages_hessian_float
 #define mbs_stages_is_solved mbs_stages_is_solved_float
@@ -56,6 +62,7 @@
 #define mbs_stages_matrix_apply_symmetric mbs_stages_matrix_apply_symmetric_float
 #define mbs_stages_matrix_apply_transposed mbs_stages_matrix_apply_transposed_float
 #define mbs_stages_matrix_diagonal mbs_stages_matrix_diagonal_float
+#define mbs_stages_matrix_multiply_rows mbs_stages_matrix_multiply_rows_float
 #define mbs_stages_matrix_row_maxima mbs_stages_matrix_row_maxima_float
 #define mbs_stages_matrix_scale mbs_stages_matrix_scale_float
 #define mbs_stages_matrix_spread mbs_stages_matrix_spread_float
@@ -72,6 +79,7 @@
 #define mbs_stages_phase_hessian mbs_stages_phase_hessian_float
 #define mbs_stages_phase_values mbs_stages_phase_values_float
 #define mbs_stages_polish mbs_stages_polish_float
+#define mbs_stages_product_few mbs_stages_product_few_float
 #define mbs_stages_push_inside mbs_stages_push_inside_float
 #define mbs_stages_reduce mbs_stages_reduce_float
 #define mbs_stages_report mbs_stages_report_float
@@ -94,9 +102,11 @@
 #define mbs_stages_solve_completely_transposed mbs_stages_solve_completely_transposed_float
 #define mbs_stages_solve_inner mbs_stages_solve_inner_float
 #define mbs_stages_solve_rows_completely mbs_stages_solve_rows_completely_float
+#define mbs_stages_solve_rows mbs_stages_solve_rows_float
 #define mbs_stages_solve_together mbs_stages_solve_together_float
 #define mbs_stages_solve_together_transposed mbs_stages_solve_together_transposed_float
 #define mbs_stages_spread mbs_stages_spread_float
+#define mbs_stages_square_few mbs_stages_square_few_float
 #define mbs_stages_start mbs_stages_start_float
 #define mbs_stages_start_farther mbs_stages_start_farther_float
 #define mbs_stages_stationarity mbs_stages_stationarity_float

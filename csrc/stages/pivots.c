@@ -252,9 +252,11 @@ int mbs_stages_choose_pivots(mbs_stages_pivots *p, const mbs_stages_matrix *A, r
         return -1;
     for (i = 0; i < r.n; ++i)
         r.size[i] = largest_in_row(&r, i);
+    p->core = r.n;
     while (r.done < r.n) {
         if (!full && is_nearly_full(&r)) {
             full = 1;
+            p->core = r.done;
             fill(&r);
         }
         if (!find_best(&r, full, &at_row, &at_column))
@@ -322,18 +324,63 @@ static void add_multiples(int count, const int *restrict place, const lanes *res
         LANES_ADD_EACH(to[place[t]], a, factor[t]);
 }
 
+/* Eliminate the numbers before the pivot in row i that belong to the full part, four together. */
+static void eliminate_core(const elimination *a, int i)
+{
+    const mbs_stages_pivots *p = a->p;
+    lanes *restrict row = a->row, *restrict lower = a->lower + p->lower[i + 1] - (i - p->core);
+    int j = p->core, k, l;
+    for (; j + 4 <= i; j += 4) {
+        const lanes *restrict u0 = a->upper + p->upper[j] - (j + 1), *restrict u1 = a->upper + p->upper[j + 1] - (j + 2);
+        const lanes *restrict u2 = a->upper + p->upper[j + 2] - (j + 3);
+        const lanes *restrict u3 = a->upper + p->upper[j + 3] - (j + 4);
+        const lanes f0 = row[j];
+        lanes f1 = row[j + 1], f2 = row[j + 2], f3 = row[j + 3];
+        LANES_ADD_EACH(f1, f0, u0[j + 1]);
+        LANES_ADD_EACH(f2, f0, u0[j + 2]);
+        LANES_ADD_EACH(f2, f1, u1[j + 2]);
+        LANES_ADD_EACH(f3, f0, u0[j + 3]);
+        LANES_ADD_EACH(f3, f1, u1[j + 3]);
+        LANES_ADD_EACH(f3, f2, u2[j + 3]);
+        row[j + 1] = f1;
+        row[j + 2] = f2;
+        row[j + 3] = f3;
+        for (k = j + 4; k < p->n; ++k) {
+            lanes sum = row[k];
+            LANES_ADD_EACH(sum, f0, u0[k]);
+            LANES_ADD_EACH(sum, f1, u1[k]);
+            LANES_ADD_EACH(sum, f2, u2[k]);
+            LANES_ADD_EACH(sum, f3, u3[k]);
+            row[k] = sum;
+        }
+    }
+    for (; j < i; ++j) {
+        const lanes *restrict u = a->upper + p->upper[j] - (j + 1), f = row[j];
+        for (k = j + 1; k < p->n; ++k)
+            LANES_ADD_EACH(row[k], f, u[k]);
+    }
+    for (l = 0; l < i - p->core; ++l) {
+        lanes factor = row[p->core + l];
+        LANES_SCALE(factor, -1);
+        lower[l] = factor;
+    }
+}
+
 /* Eliminate the nonzeros before the pivot in row i, and keep them in the lower factor, negative. */
 static void eliminate_row(const elimination *a, int i)
 {
     const mbs_stages_pivots *p = a->p;
+    const int full = MBS_STAGES_ROOMY && i > p->core ? i - p->core : 0;
     int t;
-    for (t = p->lower[i]; t < p->lower[i + 1]; ++t) {
+    for (t = p->lower[i]; t < p->lower[i + 1] - full; ++t) {
         const int j = p->lower_place[t], first = p->upper[j];
         lanes factor = a->row[j];
         add_multiples(p->upper[j + 1] - first, p->upper_place + first, a->upper + first, &factor, a->row);
         LANES_SCALE(factor, -1);
         a->lower[t] = factor;
     }
+    if (full > 0)
+        eliminate_core(a, i);
 }
 
 /* Divide row i by its pivots. Where one is as good as 0, or small beside its row, the stage has failed here, unless it
@@ -436,3 +483,91 @@ void mbs_stages_solve_together_transposed(const mbs_stages_pivots *p, const mbs_
         add_multiples(p->lower[i + 1] - first, p->lower_place + first, lower + first, &half[i], half);
     }
 }
+
+#if MBS_STAGES_ROOMY
+/* For COUNT vectors of columns. */
+#define SOLVE_ROWS(NAME, VECTOR, COUNT)                                                                               \
+    static void NAME(const mbs_stages_pivots *p, const mbs_stages_factors *f, size_t lane, size_t ld, real *R, real *X) \
+    {                                                                                                                 \
+        const size_t step = MBS_STAGES_TOGETHER;                                                                      \
+        VECTOR sum[COUNT];                                                                                            \
+        int i, t, c;                                                                                                  \
+        for (i = 0; i < p->n; ++i) {                                                                                  \
+            VECTOR *row = (VECTOR *)(R + (size_t)p->row[i] * ld);                                                     \
+            const real pivot = f->inverse[(size_t)i * step + lane];                                                   \
+            for (c = 0; c < COUNT; ++c)                                                                               \
+                sum[c] = row[c];                                                                                      \
+            for (t = p->lower[i]; t < p->lower[i + 1]; ++t) {                                                         \
+                const VECTOR *other = (const VECTOR *)(R + (size_t)p->lower_row[t] * ld);                             \
+                const real x = f->lower[(size_t)t * step + lane];                                                     \
+                for (c = 0; c < COUNT; ++c)                                                                           \
+                    LANES_ADD(sum[c], x, other[c]);                                                                   \
+            }                                                                                                         \
+            for (c = 0; c < COUNT; ++c) {                                                                             \
+                LANES_SCALE(sum[c], pivot);                                                                           \
+                row[c] = sum[c];                                                                                      \
+            }                                                                                                         \
+        }                                                                                                             \
+        for (i = p->n - 1; i >= 0; --i) {                                                                             \
+            const VECTOR *row = (const VECTOR *)(R + (size_t)p->row[i] * ld);                                         \
+            VECTOR *to = (VECTOR *)(X + (size_t)p->column[i] * ld);                                                   \
+            for (c = 0; c < COUNT; ++c)                                                                               \
+                sum[c] = row[c];                                                                                      \
+            for (t = p->upper[i]; t < p->upper[i + 1]; ++t) {                                                         \
+                const VECTOR *other = (const VECTOR *)(X + (size_t)p->upper_column[t] * ld);                          \
+                const real x = f->upper[(size_t)t * step + lane];                                                     \
+                for (c = 0; c < COUNT; ++c)                                                                           \
+                    LANES_ADD(sum[c], x, other[c]);                                                                   \
+            }                                                                                                         \
+            for (c = 0; c < COUNT; ++c)                                                                               \
+                to[c] = sum[c];                                                                                       \
+        }                                                                                                             \
+    }
+SOLVE_ROWS(solve_lanes, lanes, 1)
+#if MBS_STAGES_WIDE
+SOLVE_ROWS(solve_wide_4, wide, 4)
+SOLVE_ROWS(solve_wide_2, wide, 2)
+SOLVE_ROWS(solve_wide_1, wide, 1)
+#else
+SOLVE_ROWS(solve_lanes_4, lanes, 4)
+SOLVE_ROWS(solve_lanes_2, lanes, 2)
+#endif
+
+void mbs_stages_solve_rows(const mbs_stages_pivots *p, const mbs_stages_factors *f, int lane, int width, int ld, real *R,
+                           real *X)
+{
+    const size_t at = (size_t)lane, w = (size_t)ld;
+    int c = 0;
+#if MBS_STAGES_WIDE
+    for (; c + 4 * MBS_STAGES_LINE <= width; c += 4 * MBS_STAGES_LINE)
+        solve_wide_4(p, f, at, w, R + c, X + c);
+    for (; c + 2 * MBS_STAGES_LINE <= width; c += 2 * MBS_STAGES_LINE)
+        solve_wide_2(p, f, at, w, R + c, X + c);
+    for (; c + MBS_STAGES_LINE <= width; c += MBS_STAGES_LINE)
+        solve_wide_1(p, f, at, w, R + c, X + c);
+#else
+    for (; c + 4 * MBS_STAGES_LANES <= width; c += 4 * MBS_STAGES_LANES)
+        solve_lanes_4(p, f, at, w, R + c, X + c);
+    for (; c + 2 * MBS_STAGES_LANES <= width; c += 2 * MBS_STAGES_LANES)
+        solve_lanes_2(p, f, at, w, R + c, X + c);
+#endif
+    for (; c < width; c += MBS_STAGES_LANES)
+        solve_lanes(p, f, at, w, R + c, X + c);
+}
+#else
+void mbs_stages_solve_rows(const mbs_stages_pivots *p, const mbs_stages_factors *f, int lane, int width, int ld, real *R,
+                           real *X)
+{
+    const int step = MBS_STAGES_TOGETHER;
+    int i;
+    for (i = 0; i < p->n; ++i) {
+        real *row = R + (size_t)p->row[i] * (size_t)ld;
+        mbs_stages_combine(width, p->lower[i + 1] - p->lower[i], p->lower_row + p->lower[i], 0,
+                           f->lower + p->lower[i] * step + lane, step, R, ld, f->inverse[i * step + lane], row, row);
+    }
+    for (i = p->n - 1; i >= 0; --i)
+        mbs_stages_combine(width, p->upper[i + 1] - p->upper[i], p->upper_column + p->upper[i], 0,
+                           f->upper + p->upper[i] * step + lane, step, X, ld, 1, R + (size_t)p->row[i] * (size_t)ld,
+                           X + (size_t)p->column[i] * (size_t)ld);
+}
+#endif

@@ -13,6 +13,7 @@
 typedef struct {
     int n, first, capacity, entries; /* the most nonzeros of both factors; nonzeros of the block */
     int ready;                       /* 1: there is an order */
+    int core;                        /* rows and columns from this place on are full in the factors */
     int stage;                       /* whose numbers are to give the next order */
     int stages, failed;              /* of this kind; stages whose pivots were too small */
     int *row, *column;
@@ -51,5 +52,10 @@ void mbs_stages_solve_together(const mbs_stages_pivots *p, const mbs_stages_fact
                                real *x, real *work);
 void mbs_stages_solve_together_transposed(const mbs_stages_pivots *p, const mbs_stages_factors *f, real *b, real *x,
                                           real *work);
+
+/* X = B^-1 R for one lane, of `width` numbers a row, which begin `ld` apart: R by rows of the block (overwritten), X by
+ * columns. */
+void mbs_stages_solve_rows(const mbs_stages_pivots *p, const mbs_stages_factors *f, int lane, int width, int ld, real *R,
+                           real *X);
 
 #endif

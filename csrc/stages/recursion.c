@@ -119,14 +119,16 @@ static void add_next_cost(const mbs_stages_stage *s, const entrance *next, real 
     real *below = product + from * ld, *corner = Q + from * (ld + 1);
     size_t i, j;
     memset(product, 0, ldp * ld * sizeof *product);
-    mbs_stages_gram(m, next->width - first, columns, 0, 1, next->P + from * (ldp + 1), next->width, F2, width,
-                    below + from, width);
-    mbs_stages_gram(m, columns, columns, 1, 1, F2, width, below + from, width, corner, width);
+    mbs_stages_product_few(&s->dense.few, first, first, m, columns, next->P + from * (ldp + 1), next->width, F2, width,
+                           below + from, width);
+    mbs_stages_gram_few(&s->dense.few, first, first, m, columns, columns, 1, F2, width, below + from, width, corner,
+                        width);
     for (i = from; i < (size_t)s->next; ++i)
         for (j = 0; j < from; ++j)
             product[i * ld + j] = next->P[i * ldp + j] * F[j * (ld + 1)];
     if (first > 0)
-        mbs_stages_gram(m, columns, first, 0, 1, F2, width, below, width, Q + from * ld, width);
+        mbs_stages_gram_few(&s->dense.few, first, first, m, columns, first, 0, F2, width, below, width, Q + from * ld,
+                            width);
     for (i = 0; i < from; ++i)
         for (j = 0; j <= i; ++j)
             Q[i * ld + j] += F[i * (ld + 1)] * next->P[i * ldp + j] * F[j * (ld + 1)];

@@ -3,6 +3,7 @@
 #define MBS_STAGES_RECURSION_H
 
 #include "complete.h"
+#include "few.h"
 #include "pivots.h"
 #include "soft.h"
 
@@ -16,6 +17,7 @@
 typedef struct {
     int n, nv, ne, width; /* n = nx + nv */
     real *E, *F, *G, *H;  /* ne, next, ng, n rows; n columns each; the lower triangle of H */
+    mbs_stages_few few;   /* numbers in rows of F */
 } mbs_stages_dense;
 
 /* Inner variables of a stage, which the first rows of e give; see condense.c. */
@@ -27,7 +29,9 @@ typedef struct {
     mbs_stages_pivots *pivots; /* of all stages of a kind */
     mbs_stages_factors factors; /* of a group of stages of a kind that follow each other */
     int lane;                   /* of this stage in them; 0: a group begins */
-    real *V;        /* their variation with the outer ones, row by row */
+    real *V;        /* their variation with the outer ones, row by row; what is not `skip` begins with a line */
+    int ld, shift;  /* numbers from row to row; before the first row */
+    mbs_stages_few few; /* numbers in its rows, in columns from `skip` on */
     real *constant; /* of the inner variables, by the last right-hand side */
     int stale;      /* Jacobians are newer than V */
     int own;        /* pivots by the order were too small: complete pivoting, each time anew */

@@ -12,6 +12,9 @@
 
 #include <string.h>
 
+#define LARGE_BLOCK 32 /* rows of L that are lowered at once by all rows before them */
+#define SMALL_BLOCK 8  /* the same by rows of the large block */
+
 /* The inverse of the largest entry of each row. */
 static void weigh_rows(const mbs_stages_step *p, real *weight)
 {
@@ -199,6 +202,41 @@ static void substitute_pivots(mbs_stages_step *p, real *rr, real *half)
         p->Y[i] = 2 * half[i] - p->Y[i];
 }
 
+/* Take `count` rows of L from row `from` on out of `rows` rows from row `first` on; columns before the first row's
+ * diagonal that are not of x stay or change, and become 0 later. */
+static void lower_rows(mbs_stages_step *p, int first, int rows, int from, int count)
+{
+    const int nx = mbs_stages_width(p->nx), at = p->nx + first, tiles = MBS_STAGES_ROOMY ? rows / 4 * 4 : 0;
+    const int begin = at / MBS_STAGES_LANES * MBS_STAGES_LANES > nx ? at / MBS_STAGES_LANES * MBS_STAGES_LANES : nx;
+    const size_t width = (size_t)p->width;
+    const real *L = p->L + (size_t)from * width;
+    real *to = p->L + (size_t)first * width;
+    int i;
+    if (tiles > 0) {
+        mbs_stages_gram(count, tiles, nx, 0, -1, L + at, p->width, L, p->width, to, p->width);
+        mbs_stages_gram(count, tiles, p->width - begin, 0, -1, L + at, p->width, L + begin, p->width, to + begin,
+                        p->width);
+    }
+    for (i = tiles; i < rows; ++i)
+        mbs_stages_add_rows(p->width, count, -1, L + at + i, p->width, L, p->width, to + (size_t)i * width);
+}
+
+/* Take the rows before row i of L out of it, and out of others that follow it, where a block begins. */
+static void lower_row(mbs_stages_step *p, int i)
+{
+    const int end = p->reduced - p->nx, large = i / LARGE_BLOCK * LARGE_BLOCK, small = i / SMALL_BLOCK * SMALL_BLOCK;
+    if (!MBS_STAGES_ROOMY) {
+        lower_rows(p, i, 1, 0, i);
+        return;
+    }
+    if (i == large && i > 0)
+        lower_rows(p, i, end - i < LARGE_BLOCK ? end - i : LARGE_BLOCK, 0, i);
+    if (i == small && i > large)
+        lower_rows(p, i, end - i < SMALL_BLOCK ? end - i : SMALL_BLOCK, large, i - large);
+    if (i > small)
+        lower_rows(p, i, 1, small, i - small);
+}
+
 /* Factorise the free variables: rows (K LT), with the inverse of L's diagonal, and 0 before it. Where a pivot is too small,
  * `lost` notes whether that may be rounding. */
 static int factorise_free(mbs_stages_step *p, const real *rr, real zero_curvature)
@@ -208,8 +246,8 @@ static int factorise_free(mbs_stages_step *p, const real *rr, real zero_curvatur
     memcpy(p->L, rr + (size_t)nx * (size_t)width, (size_t)free_ones * (size_t)width * sizeof *rr);
     mbs_stages_mirror(free_ones, p->L + nx, width);
     for (i = 0; i < free_ones; ++i) {
-        real *row = p->L + (size_t)i * (size_t)width, pivot = row[nx + i], scale;
-        mbs_stages_add_rows(width, i, -1, p->L + nx + i, width, p->L, width, row);
+        real *row = p->L + (size_t)i * (size_t)width, pivot = rr[(size_t)(nx + i) * (size_t)(width + 1)], scale;
+        lower_row(p, i);
         if (MBS_STAGES_SEARCHES)
             p->lost = !(real_abs(row[nx + i]) > PIVOT_ROUNDING * real_abs(pivot));
         if (!(row[nx + i] > zero_curvature * real_abs(pivot)))

@@ -126,7 +126,7 @@ static void rows(int width, int count, int ld, int stride)
 /* M += -2 S^T Z, at least of its lower triangle. */
 static void grams(int m, int count, int width, int lower)
 {
-    const int lds = count + 3, ldz = width + 4, ldm = width + 4;
+    const int lds = count + 3, ldz = width + 4, ldm = width + 4, whole = MBS_STAGES_WIDE ? count / 8 * 8 : 0;
     real *S = make((m > 0 ? m - 1 : 0) * lds + count), *Z = make((m > 0 ? m - 1 : 0) * ldz + width);
     real *M = make(count * ldm), *was = copy(count * ldm, M);
     int i, j, t;
@@ -141,8 +141,8 @@ static void grams(int m, int count, int width, int lower)
             LAW("a product of columns is added", M[i * ldm + j] == sum);
         }
     for (i = 0; i < count && lower; ++i)
-        for (j = i / 4 * 4 + 4; j < ldm; ++j)
-            LAW("beside the triangle nothing is", M[i * ldm + j] == was[i * ldm + j]);
+        for (j = i < whole ? i / 8 * 8 + 8 : i / 4 * 4 + 4; j < ldm; ++j)
+            LAW("beside the triangle's tiles nothing is", M[i * ldm + j] == was[i * ldm + j]);
     free(S), free(Z), free(M), free(was);
 }
 
@@ -165,12 +165,14 @@ int main(void)
             columns(m, n, m + n % 3);
     for (n = 0; n < 11; ++n)
         triangles(n, n + n % 2);
-    for (m = 4; m < 37; m += 4)
+    for (m = 4; m < 77; m += 4)
         for (n = 0; n < 6; ++n)
             rows(m, n, m + 4 * (n % 2), 1 + n % 3);
     for (m = 0; m < 6; ++m)
-        for (n = 4; n < 21; n += 4)
+        for (n = 4; n < 45; n += 4)
             grams(m, n, n, 1), grams(m, n, n, 0), grams(m, n, n + 4, 0);
+    for (m = GRAM_ROWS - 1; m < GRAM_ROWS + 2; ++m)
+        grams(m, 8, 8, 1), grams(m, 12, 20, 0);
     mirrors();
     return broken > 0;
 }

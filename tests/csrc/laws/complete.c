@@ -68,7 +68,7 @@ static void solve_all(int n, int rank)
     for (i = 0; i < n; ++i)
         b[i] = B[i * WIDTH];
     LAW("equations that hold leave nothing", mbs_stages_solve_completely(&c, b, x) < 1e-12);
-    mbs_stages_solve_rows_completely(&c, WIDTH, B, X);
+    mbs_stages_solve_rows_completely(&c, WIDTH, WIDTH, B, X);
     for (i = 0; i < n; ++i) {
         real sum = 0;
         for (j = 0; j < n; ++j)

@@ -224,16 +224,17 @@ static void repeat_rows(void)
 static void grow(void)
 {
     mbs_stages_stage *t;
-    int i, count;
+    int i, j;
     open_kkt(&full_stages, 0);
     t = &kkt->recursion.stage[0];
-    count = t->inner.n * t->dense.width;
-    memset(t->inner.V, 0, (size_t)count * sizeof *t->inner.V);
-    for (i = 0; i < count; ++i) {
-        t->inner.V[i] = i % 2 ? 2 : -2;
-        LAW("an entry grows", grows(t, (real)1.9) && !grows(t, 2));
-        t->inner.V[i] = 0;
-    }
+    memset(t->inner.V, 0, (size_t)(t->inner.n * t->inner.ld) * sizeof *t->inner.V);
+    for (i = 0; i < t->inner.n; ++i)
+        for (j = 0; j < t->dense.width; ++j) {
+            real *entry = &t->inner.V[i * t->inner.ld + j];
+            *entry = (i + j) % 2 ? 2 : -2;
+            LAW("an entry grows", grows(t, (real)1.9) && !grows(t, 2));
+            *entry = 0;
+        }
 }
 
 /* Inner variables that follow the others by large factors cost digits: their small pivots are left to the recursion. */

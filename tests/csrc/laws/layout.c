@@ -218,6 +218,7 @@ static void rooms(int workers)
         LAW("and rows", t->F.rows == next && t->G.rows == z->ng && t->H.rows == all);
         list_numbers(t->dense.E, (ne + spare) * width), list_numbers(t->dense.F, next * width);
         list_numbers(t->dense.G, z->ng * width);
+        list_integers(t->dense.few.count, next), list_integers(t->dense.few.column, next * MBS_STAGES_FEW);
         list_numbers(t->dense.H, z->inner ? width * width : all * width); /* whole lanes of rows where some are inner */
         list_step(&r->step[k], z->nx, nv + spare, ne + spare + equal[k] + next + z->ng, next);
         list_soft(&r->soft[k], next);
@@ -226,6 +227,7 @@ static void rooms(int workers)
         if (z->inner == 0)
             continue;
         list_numbers(y->V, z->inner * width), list_numbers(y->constant, z->inner);
+        list_integers(y->few.count, z->inner), list_integers(y->few.column, z->inner * MBS_STAGES_FEW);
         list_integers(y->variable, spare), list_integers(y->row, spare);
         if (y->lane == 0) {
             list_numbers(y->factors.lower, y->capacity * MBS_STAGES_TOGETHER);

@@ -111,6 +111,34 @@ static void symmetric_ones(int n, int is_sparse)
     LAW("the diagonal has its largest entry", mbs_stages_matrix_diagonal(&A) == largest);
 }
 
+/* Rows of V times the first rows of a symmetric matrix, from the diagonal on, and another diagonal. */
+static void rows_of(int n, int width)
+{
+    enum { WIDEST = 76 };
+    const mbs_stages_matrix A = make(n, n, 1, 1);
+    const int first = n > 2, count = n - first, ld = width + 4;
+    static real V[MOST * (WIDEST + 4)], Z[MOST * (WIDEST + 4)];
+    int from[MOST], to[MOST], i, j, c;
+    real diagonal[MOST];
+    mbs_stages_part part;
+    for (i = 0; i < MOST * (WIDEST + 4); ++i)
+        V[i] = (real)(draw(9) - 4), Z[i] = 99;
+    for (j = 0; j < count; ++j) {
+        from[j] = begin[first + j] + (begin[first + j] < end[first + j] && row_of[begin[first + j]] == first + j);
+        to[j] = end[first + j];
+        diagonal[j] = (real)(draw(9) - 4);
+    }
+    part.first = first, part.count = count, part.begin = from, part.end = to, part.diagonal = diagonal;
+    mbs_stages_matrix_multiply_rows(&A, &part, width, ld, V, Z);
+    for (j = 0; j < count; ++j)
+        for (c = 0; c < ld; ++c) {
+            real sum = c < width ? diagonal[j] * V[j * ld + c] : 99;
+            for (i = j + 1; i < count && c < width; ++i)
+                sum += full[(first + i) * MOST + first + j] * V[i * ld + c];
+            LAW("rows are multiplied", Z[j * ld + c] == sum);
+        }
+}
+
 int main(void)
 {
     int rows, columns, is_sparse, turn;
@@ -120,6 +148,8 @@ int main(void)
                 for (columns = 1; columns < MOST; ++columns)
                     products(rows, columns, is_sparse), scales(rows, columns, is_sparse);
                 symmetric_ones(rows, is_sparse);
+                for (columns = 4; columns < 77; columns += 4)
+                    rows_of(rows, columns);
             }
     return broken > 0;
 }

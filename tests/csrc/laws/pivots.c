@@ -77,6 +77,25 @@ static mbs_stages_together gather(int stages)
     return all;
 }
 
+/* Right-hand sides side by side, of one stage. */
+static void solve_rows(int n, int lane, int width)
+{
+    enum { WIDEST = 60 };
+    static real R[MOST * WIDEST], was[MOST * WIDEST], X[MOST * WIDEST];
+    int i, j, c;
+    for (i = 0; i < MOST * WIDEST; ++i)
+        R[i] = was[i] = draw(), X[i] = 99;
+    mbs_stages_solve_rows(&p, &factors, lane, width, WIDEST, R, X);
+    for (i = 0; i < n; ++i)
+        for (c = 0; c < WIDEST; ++c) {
+            real sum = -was[i * WIDEST + c];
+            for (j = 0; j < n; ++j)
+                sum += dense[lane][i * n + j] * X[j * WIDEST + c];
+            LAW("rows are solved", c >= width || real_abs(sum) < 1e-7);
+            LAW("no more of them than asked", c < width || X[i * WIDEST + c] == 99);
+        }
+}
+
 /* Blocks of four stages with one pattern: all are solved, and across. */
 static void solve_all(int n, real part, int stages)
 {
@@ -134,6 +153,9 @@ static void solve_all(int n, real part, int stages)
             LAW("and across", real_abs(sum) < 1e-7);
         }
     LAW("a sound block does not fail", all.failed[0] < 0);
+    for (k = 0; k < stages; ++k)
+        if (all.failed[k] < 0)
+            solve_rows(n, k, 4 * (1 + k + 5 * (n % 3)));
 }
 
 /* An arrow: its head is eliminated last, and nothing is filled; a line likewise. */

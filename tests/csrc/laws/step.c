@@ -27,12 +27,13 @@ static void anew(real a, real b, real c, real d)
 /* --- steps of all sizes: the cost z.Q z / 2 + q.z of z = (x,
     v) with rows M z + m = 0 -------------------------------- */
 
-enum { MOST = 8 };
+enum { MOST = 48, ALL = MOST * MOST };
 static unsigned seed = 5;
 static real Q[MOST * MOST], q[MOST], M[MOST * MOST], m[MOST], z0[MOST];
-static real rows_of[MOST * MOST], U[64], T[64], Y[64], QQ[64], L[64], P[64], C[64], p[8], c[8], t[8], l[8], qp[8];
-static real quadratic[64], first_work[64], second_work[64];
-static int row_of[8], column_of[8], order[8];
+static real rows_of[ALL], U[ALL], T[ALL], Y[ALL], QQ[ALL], L[ALL], P[ALL], C[ALL];
+static real p[MOST], c[MOST], t[MOST], l[MOST], qp[MOST];
+static real quadratic[ALL], first_work[ALL], second_work[ALL];
+static int row_of[MOST], column_of[MOST], order[MOST];
 
 static real draw(void)
 {
@@ -48,7 +49,7 @@ static void open_step(int nx, int nv, int rows)
     step.nx = nx, step.nv = nv, step.n = n, step.capacity = MOST, step.rows = rows, step.row = row_of;
     step.column = column_of, step.order = order, step.lu = rows_of, step.U = U, step.T = T, step.Y = Y, step.Q = QQ;
     step.L = L, step.P = P, step.C = C, step.p = p, step.c = c, step.t = t, step.l = l, step.qp = qp;
-    for (i = 0; i < 64; ++i) /* nothing is read before it is written */
+    for (i = 0; i < ALL; ++i) /* nothing is read before it is written */
         U[i] = T[i] = Y[i] = QQ[i] = L[i] = P[i] = C[i] = first_work[i] = second_work[i] = rows_of[i] = (real)NAN;
     for (j = 0; j < n; ++j)
         for (i = 0; i < rows; ++i)
@@ -68,9 +69,9 @@ static int reduce(real zero_pivot, real zero_curvature)
 /* Draw a positive definite cost, and rows that hold at a point; some rows are of x alone, some repeat others. */
 static void draw_step(int n, int nx, int rows, int kind)
 {
-    real root[64];
+    static real root[ALL];
     int i, j, k;
-    for (i = 0; i < 64; ++i)
+    for (i = 0; i < ALL; ++i)
         root[i] = draw(), M[i] = draw();
     for (i = 0; i < n; ++i)
         for (j = 0; j < n; ++j)
@@ -153,6 +154,9 @@ static void steps(void)
                         LAW("rows that are independent have a pivot", step.pivots + step.passed == rank);
                         LAW("as many of v as there are", kind == 1 || step.pivots == (rank < nv ? rank : nv));
                     }
+    for (nv = SMALL_BLOCK - 1; nv + 3 <= MOST; ++nv)
+        for (nx = 0; nx < 4; nx += 3)
+            meet(nx, nv, 0, 0), meet(nx, nv, 2, 0);
 }
 
 /* Rows that contradict each other by 0.5, beside one that is sound. */

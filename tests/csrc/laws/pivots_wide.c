@@ -1,0 +1,2 @@
+#define MBS_STAGES_WIDE 1
+#include "pivots.c"
