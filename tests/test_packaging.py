@@ -117,13 +117,14 @@ def test_an_installed_wheel_reads_its_own_files(installed: Path) -> None:
     assert places == [str(installed / place) for place in expected]
 
 
-def test_an_installed_wheel_starts_the_study(installed: Path) -> None:
-    """A problem that is missing is refused by the study itself, with 2 and without a traceback."""
-    command = [sys.executable, "-m", "mbsrun", "study", "problem.ocp.yaml"]
+@pytest.mark.parametrize(("study", "given"), [("study", "problem.ocp.yaml"), ("lab", "F99")])
+def test_an_installed_wheel_starts_studies(installed: Path, study: str, given: str) -> None:
+    """A problem or a case that is missing is refused by the study itself, with 2 and without a traceback."""
+    command = [sys.executable, "-m", "mbsrun", study, given]
     environment = {**os.environ, "PYTHONPATH": str(installed)}
     done = subprocess.run(command, cwd="/", env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 2, done.stderr
-    assert "problem.ocp.yaml" in done.stderr
+    assert given in done.stderr
     assert "Traceback" not in done.stderr
 
 
