@@ -184,8 +184,9 @@ class Contacts:
             for section in sections
             for x in section.all("pair")
         }
-        for i, geom in enumerate(self.geoms):
-            for other in self.geoms[:i]:
+        geoms = [x for x in self.geoms if x.has_masks]
+        for i, geom in enumerate(geoms):
+            for other in geoms[:i]:
                 names = {x.attributes.get("name") for x in (other, geom)}
                 if names not in given and self._meet(other, geom, excluded):
                     yield _order(other, geom)
