@@ -34,7 +34,7 @@ class Package:
 MBSGEN = Package(
     source=ROOT / "generator" / "mbsgen",
     layers=(
-        "errors quick_classes resources roles style algebra",
+        "errors quick_classes quick_imports resources roles style algebra",
         "manifest expressions",
         "machine",
         "documents help",
@@ -282,6 +282,7 @@ MBSRUN = Package(
     guests=(
         "mbsgen.errors",
         "mbsgen.quick_classes",
+        "mbsgen.quick_imports",
         "mbsgen.resources",
         "mbsgen.manifest",
         "mbsgen.machine",

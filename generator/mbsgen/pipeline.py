@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import hashlib
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
@@ -50,6 +49,7 @@ from mbsgen.model.tree import IDENTITY, NO_FORCE, Barrier, DryFriction, Kind, Me
 from mbsgen.model.writer import write_model
 from mbsgen.output import write_folder
 from mbsgen.procedure.procedure import Computation, Procedure
+from mbsgen.quick_imports import without_searches
 from mbsgen.renumbering import Changes, Numbers
 from mbsgen.report import Report, make_report, write_json, write_markdown
 from mbsgen.request import DEFAULT, OptionError, Options, Request, merge
@@ -95,20 +95,8 @@ def make(model: Path | Model, options: Options = DEFAULT, tell: Tell = say_nothi
     `tell` is called with the name of each stage when it begins. Raises InputError with every fault of the file,
     OptionError for unknown functions, VerificationError for a function with wrong results.
     """
-    with _without_cycles():
+    with without_searches():  # tapes have millions of objects, and no cycles
         return _make(model, options, tell)
-
-
-@contextmanager
-def _without_cycles() -> Iterator[None]:
-    """Do not search for cycles of objects: tapes have millions of objects, and no cycles."""
-    was_enabled = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if was_enabled:
-            gc.enable()
 
 
 def _make(model: Path | Model, options: Options, tell: Tell) -> Product:
@@ -310,7 +298,7 @@ def derive_equations(
     shown = replace(shown, parameters=tuple(present))
     with _locating(model):
         tree = build_numeric(shown) if numbers else build_symbolic(shown)
-    with _without_cycles():
+    with without_searches():
         try:
             return derive(tree, _MOST), identify_mechanism(staged)
         except SizeError:

@@ -11,6 +11,7 @@ import click
 from mbsgen.errors import MbsError
 from mbsgen.help import CommandsBySubject, CommandsOnDemand, Entry
 from mbsgen.quick_classes import quick_data_classes
+from mbsgen.quick_imports import quick_imports
 from mbsgen.style import spare_docstrings
 
 BAD_INPUT = 2  # exit code: an unacceptable file or argument
@@ -101,7 +102,7 @@ def main() -> None:
     atexit.register(gc.freeze)  # the last search of a process, whose memory is given back as a whole
     spare_docstrings()
     try:
-        with quick_data_classes():
+        with quick_data_classes(), quick_imports():
             cli()
     except MbsError as error:
         click.echo(str(error), err=True)

@@ -17,6 +17,7 @@ from typing import Any
 
 from mbsgen import resources
 from mbsgen.quick_classes import quick_data_classes
+from mbsgen.quick_imports import without_searches
 from mbsrun.cache import MODELS, find_or_make
 
 INCLUSION = re.compile(rb"""<include\s[^>]*?\bfile\s*=\s*["']([^"']*)""")  # of MJCF
@@ -63,7 +64,7 @@ def find_folder(path: Path, extent: Extent = WHOLE) -> Path:
         return path
 
     def make(building: Path) -> Path:
-        with quick_data_classes():
+        with quick_data_classes(), without_searches():
             from mbsgen.pipeline import generate  # only here, and late: kernels are called without SymPy
 
         generate(path, building / "generated", _make_options(extent))

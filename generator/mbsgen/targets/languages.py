@@ -17,16 +17,51 @@ from mbsgen.targets.acados import add_acados
 from mbsgen.targets.bounds import add_bounded
 from mbsgen.targets.contract import Family
 from mbsgen.targets.cpp import list_headers, write_cpp
-from mbsgen.targets.cuda import pack_cuda
 from mbsgen.targets.double_double import add_double_double
-from mbsgen.targets.fmu import pack_source
-from mbsgen.targets.julia import write_julia
 from mbsgen.targets.lanes import WIDTHS, list_lane_headers, write_lanes
-from mbsgen.targets.matlab import write_matlab
-from mbsgen.targets.python.module import write_python
-from mbsgen.targets.rust.crate import write_rust
 from mbsgen.targets.unit import Unit
-from mbsgen.targets.wasm.module import write_wasm
+
+
+def _write_python(unit: Unit) -> Mapping[str, str]:  # here and below: a language is loaded where it is asked for
+    from mbsgen.targets.python.module import write_python
+
+    return write_python(unit)
+
+
+def _write_matlab(unit: Unit) -> Mapping[str, str]:
+    from mbsgen.targets.matlab import write_matlab
+
+    return write_matlab(unit)
+
+
+def _write_rust(unit: Unit) -> Mapping[str, str]:
+    from mbsgen.targets.rust.crate import write_rust
+
+    return write_rust(unit)
+
+
+def _write_julia(unit: Unit) -> Mapping[str, str]:
+    from mbsgen.targets.julia import write_julia
+
+    return write_julia(unit)
+
+
+def _encode_wasm(unit: Unit) -> Mapping[str, bytes]:
+    from mbsgen.targets.wasm.module import write_wasm
+
+    return write_wasm(unit)
+
+
+def _pack_cuda(manifest: Manifest, files: Mapping[str, str]) -> Mapping[str, bytes]:
+    from mbsgen.targets.cuda import pack_cuda
+
+    return pack_cuda(manifest, files)
+
+
+def _pack_source(manifest: Manifest, files: Mapping[str, str]) -> Mapping[str, bytes]:
+    from mbsgen.targets.fmu import pack_source
+
+    return pack_source(manifest, files)
 
 
 def _write_nothing(_: Unit) -> Mapping[str, str]:
@@ -64,21 +99,21 @@ class Target:
 
 
 TARGETS: tuple[Target, ...] = (
-    Target("python", "Also write the kernels as a Python module, for any number type.", write_python),
+    Target("python", "Also write the kernels as a Python module, for any number type.", _write_python),
     Target(
         "cpp",
         "Also write a C++ class: a header on top of the C, for Eigen too.",
         write_cpp,
         headers=list_headers,
     ),
-    Target("matlab", "Also write the kernels as functions for Matlab and GNU Octave.", write_matlab),
-    Target("rust", "Also write the kernels as a Rust crate, without C and without other crates.", write_rust),
+    Target("matlab", "Also write the kernels as functions for Matlab and GNU Octave.", _write_matlab),
+    Target("rust", "Also write the kernels as a Rust crate, without C and without other crates.", _write_rust),
     Target(
         "wasm",
         "Also write a WebAssembly module of the kernels, for browsers, without a compiler.",
-        encode=write_wasm,
+        encode=_encode_wasm,
     ),
-    Target("julia", "Also write a Julia module that calls the C.", write_julia),
+    Target("julia", "Also write a Julia module that calls the C.", _write_julia),
     Target(
         "lanes",
         "Also write functions in C for many states, by the vectors of the processor that runs them.",
@@ -86,8 +121,10 @@ TARGETS: tuple[Target, ...] = (
         headers=list_lane_headers,
         widths=WIDTHS,
     ),
-    Target("cuda", "Also write CUDA C that computes many states on a GPU, a state a thread.", pack=pack_cuda),
-    Target("fmu", "Also pack the sources as a functional mock-up unit (FMI 3.0), without a library.", pack=pack_source),
+    Target("cuda", "Also write CUDA C that computes many states on a GPU, a state a thread.", pack=_pack_cuda),
+    Target(
+        "fmu", "Also pack the sources as a functional mock-up unit (FMI 3.0), without a library.", pack=_pack_source
+    ),
     Target(
         "bounds", "Also write the functions with a bound of the rounding error beside each result.", add=add_bounded
     ),
