@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,6 +16,7 @@ from matplotlib.image import imread
 
 from mbsgen import style
 from mbsgen.manifest import Manifest
+from mbsrun.ocp.showing import pictures
 from mbsrun.ocp.showing.pictures import draw_mechanism, plot_trajectories
 from mbsrun.ocp.solution.solution import Solution
 from mbsrun.ocp.solving.solve import solve
@@ -118,3 +121,16 @@ def test_prismatic_joints_and_names_that_look_like_formulas(
     figures[0].canvas.draw()
     if picture is plot:
         assert [axes.get_ylabel().split(" ", 1)[1] for axes in figures[0].axes] == ["[m]", "[m/s]", "[N]"]
+
+
+def test_wrenches_that_act_are_drawn_by_their_names(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Components apart from signals; one that is 0 is left out, and one without a name is a wrench."""
+    w = np.zeros((2, 3, 4))
+    w[:, :, 0], w[:, :, 2], w[0, 1, 3] = 2.0, -1.0, 0.5
+    trajectory: Any = SimpleNamespace(point_t=np.arange(6.0).reshape(2, 3), point_w=w)
+    monkeypatch.setattr(pictures, "name_components", lambda _: ["fx of hand", "fy of hand", "", "act"])
+    monkeypatch.setattr(pictures, "find_unit", lambda quantity, _: "" if quantity.index == 3 else "N")
+    solution: Any = SimpleNamespace(trajectory=trajectory)
+    manifest: Any = None
+    found = [(x.label, x.panel.title, x.panel.unit) for x in pictures._list_wrenches(solution, manifest)]
+    assert found == [("fx of hand", "Open wrenches", "N"), ("wrench", "Open wrenches", "N"), ("act", "Signals", "")]

@@ -207,7 +207,7 @@ class CaseSolver:
         return refine_phases(found, plants) if asks else found
 
 
-def solve_cases(cases: Sequence[AnyCase], plants: Plants, threads: int = 1) -> Iterator[tuple[int, Outcome]]:
+def solve_cases(cases: Sequence[AnyCase], plants: Plants, threads: int) -> Iterator[tuple[int, Outcome]]:
     """Solve cases, several at a time; yield the number and the outcome of each as it ends.
 
     Each thread makes its own programs. Cases that have not begun are dropped where the caller ends the iteration.

@@ -141,7 +141,7 @@ Begin = Callable[[Start, Origin | None], "Future[tuple[T, Origin]]"]  # of a sol
 
 def solve_beside(solver: CaseSolver, case: AnyCase, start: Start, origin: Origin | None) -> tuple[Outcome, Origin]:
     """Solve a case from its sources' solutions, or else from its own guess."""
-    found = _try_all(solver, [case], [start], [origin])[0]
+    found = _try_all(solver, [case], [start], [origin], 1)[0]
     outcome, own = _solve_anew(solver, case, start, origin) if found is None else found
     return read(outcome), own
 
@@ -151,7 +151,7 @@ def _try_all(
     cases: Sequence[AnyCase],
     starts: Sequence[Start],
     origins: Sequence[Origin | None],
-    threads: int = 1,
+    threads: int,
 ) -> list[tuple[Found, Origin] | None]:
     """Solve cases from their sources' solutions; None where that does not succeed soon, or is not tried."""
     found: list[tuple[Found, Origin] | None] = [None] * len(cases)
@@ -177,7 +177,7 @@ def _solve_anew(solver: CaseSolver, case: AnyCase, start: Start, origin: Origin 
 
 
 def solve_neighbours(
-    cases: Sequence[AnyCase], starts: Sequence[Start], plants: Plants, threads: int = 1
+    cases: Sequence[AnyCase], starts: Sequence[Start], plants: Plants, threads: int
 ) -> Iterator[tuple[int, Found]]:
     """Solve cases in layers; yield the number and the outcome of each as it ends, see `solve_cases`."""
     own, solver = threading.local(), CaseSolver(plants)

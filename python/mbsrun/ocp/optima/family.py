@@ -81,7 +81,7 @@ class Family:
                 return member
         return Member(self.answer.solver.run(self.answer.problem, start), start)
 
-    def solve_all(self, rows: Sequence[Array], threads: int = 1) -> list[Member]:
+    def solve_all(self, rows: Sequence[Array], threads: int) -> list[Member]:
         """Solve at several vectors of values, on several threads where the method calls no Python."""
         solver, problem = self.answer.solver, self.answer.problem
         if threads == 1 or METHODS[choose(solver.choose_method(problem))].calls_casadi:
