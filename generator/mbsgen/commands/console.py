@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -13,12 +14,11 @@ DIFFERENT = 1  # exit code: a folder differs from the generated one, or compared
 @contextmanager
 def show_progress() -> Iterator[Tell]:
     """Show on a terminal which stage is at work; write nothing into pipes and files."""
+    if not sys.stderr.isatty():
+        yield say_nothing
+        return
     from rich.console import Console  # takes a while to load
     from rich.markup import escape
 
-    console = Console(stderr=True)
-    if not console.is_terminal:
-        yield say_nothing
-        return
-    with console.status("") as status:
+    with Console(stderr=True).status("") as status:
         yield lambda stage: status.update(escape(stage))
