@@ -264,7 +264,7 @@ def _scatter(gradient: Array, own: Transcription, weights: Mapping[str, Array], 
         elif name == "controls" and is_constant:
             gradient[extras.controls] += value
         elif name == "controls":
-            gradient[extras.point_controls] += share * value[:, None]
+            np.add.at(gradient, extras.point_controls, share * value[:, None])  # a steady control is one variable
         elif name == "unknowns":
             gradient[layout.unknowns[: value.size]] += value
         elif layout.horizons.size:

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import re
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -108,25 +109,64 @@ def add_muscle(model: Any, kind: str, name: str, numbers: dict[str, Any], *point
     model.addForce(muscle)
 
 
-def make_mixed_arm(third: str) -> Any:
-    """Make a link on a pin, with two muscles, and one with other activation dynamics, or without.
+def make_mixed_arm(name: str, others: Sequence[str]) -> Any:
+    """Make a link on a pin, with two muscles, and some with other activation dynamics, or without.
 
     Those of De Groote have the same time constants: in a process of OpenSim 4.6, all have the ones of the first.
     """
-    model, ground, body = make_link(third)
+    model, ground, body = make_link(name)
     common = {"optimal_fiber_length": 0.11, "tendon_slack_length": 0.06, "ignore_tendon_compliance": True}
     degroote, millard = "DeGrooteFregly2016Muscle", "Millard2012EquilibriumMuscle"
     lags = {"activation_time_constant": 0.03, "deactivation_time_constant": 0.05}
-    for kind, name, strength, side, own in (
+    for kind, muscle, strength, side, own in (
         (degroote, "front", 450, 1, {"fiber_damping": 0.01, **lags}),
         (degroote, "middle", 300, 1.2, {"fiber_damping": 0.01, **lags}),
         (millard, "upper", 250, 1.4, {"fiber_damping": 0.1}),
         (degroote, "back", 400, -1, {"fiber_damping": 0.01, "ignore_activation_dynamics": True}),
     ):
-        if name not in ("front", "middle", third):
+        if muscle not in ("front", "middle", *others):
             continue
         points = ((ground, 0.06 * side, 0.05), (body, 0.02 * side, -0.12))
-        add_muscle(model, kind, name, {"max_isometric_force": strength, **common, **own}, *points)
+        add_muscle(model, kind, muscle, {"max_isometric_force": strength, **common, **own}, *points)
+    model.finalizeConnections()
+    return model
+
+
+def make_leg() -> Any:
+    """Make a leg of three links, with a reserve torque at each joint and six muscles."""
+    model = osim.Model()
+    model.setName("squat")
+    model.set_gravity(osim.Vec3(0, -9.81, 0))
+    zero, frames = osim.Vec3(0), {"ground": model.getGround()}
+    parent = model.getGround()
+    for name, joint, mass, com, inertia, place in (
+        ("shank", "ankle", 7.5, 0.25, 0.1, 0.0),
+        ("thigh", "knee", 18.6, 0.24, 0.3, 0.43),
+        ("trunk", "hip", 45.0, 0.3, 2.5, 0.41),
+    ):
+        frames[name] = body = osim.Body(name, mass, osim.Vec3(0, com, 0), osim.Inertia(inertia))
+        model.addBody(body)
+        pin = osim.PinJoint(joint, parent, osim.Vec3(0, place, 0), zero, body, zero, zero)
+        pin.updCoordinate().setName(joint)
+        model.addJoint(pin)
+        actuator = osim.CoordinateActuator()
+        actuator.setCoordinate(pin.updCoordinate())
+        actuator.setName(f"reserve_{joint}")
+        actuator.setOptimalForce(50)
+        model.addForce(actuator)
+        parent = body
+    common = {"pennation_angle_at_optimal": 0.1, "ignore_tendon_compliance": True, "fiber_damping": 0.01}
+    for name, strength, fibre, tendon, first, last in (
+        ("soleus", 7000, 0.08, 0.3, ("ground", -0.05, 0.0), ("shank", -0.03, 0.38)),
+        ("tibialis", 2500, 0.1, 0.24, ("ground", 0.08, 0.02), ("shank", 0.02, 0.33)),
+        ("vasti", 9000, 0.11, 0.13, ("shank", 0.05, 0.36), ("thigh", 0.05, 0.16)),
+        ("hamstrings", 5000, 0.12, 0.33, ("shank", -0.03, 0.38), ("trunk", -0.06, -0.03)),
+        ("glutei", 4000, 0.15, 0.08, ("thigh", -0.03, 0.25), ("trunk", -0.08, 0.05)),
+        ("iliopsoas", 3000, 0.12, 0.12, ("thigh", 0.02, 0.25), ("trunk", 0.05, 0.08)),
+    ):
+        numbers = {"max_isometric_force": strength, "optimal_fiber_length": fibre, "tendon_slack_length": tendon}
+        points = [(frames[frame], x, y) for frame, x, y in (first, last)]
+        add_muscle(model, "DeGrooteFregly2016Muscle", name, {**numbers, **common}, *points)
     model.finalizeConnections()
     return model
 
@@ -246,14 +286,52 @@ def lift() -> Any:
     return finish(study)
 
 
-def mix(name: str, third: str) -> Any:
+def mix(name: str, *others: str) -> Any:
     """Lift an arm by muscles with different activation dynamics."""
-    study, problem = begin(name, make_mixed_arm(third), 0.6)
+    study, problem = begin(name, make_mixed_arm(name, others), 0.6)
     problem.setStateInfo("/jointset/shoulder/shoulder/value", [-0.5, 2], 0.1, 0.9)
     problem.setStateInfo("/jointset/shoulder/shoulder/speed", [-50, 50], 0, 0)
     problem.setStateInfoPattern("/forceset/.*/activation", [0.01, 1], 0.05)
     problem.setControlInfoPattern("/forceset/.*", [0.01, 1])
     problem.addGoal(osim.MocoControlGoal("effort"))
+    return finish(study, intervals=10)
+
+
+def stretch(name: str, mode: str, damping: float, scheme: str, intervals: int, *, is_linear: bool) -> Any:
+    """Lift an arm by muscles with elastic tendons, whose forces at the start are given: free ones make flat optima."""
+    model, ground, body = make_link(name)
+    common = {"optimal_fiber_length": 0.11, "tendon_slack_length": 0.06, "ignore_tendon_compliance": False}
+    common |= {"tendon_compliance_dynamics_mode": mode, "fiber_damping": damping, "pennation_angle_at_optimal": 0.1}
+    for muscle, strength, side in (("front", 450, 1), ("back", 400, -1)):
+        points = ((ground, 0.06 * side, 0.05), (body, 0.02 * side, -0.12))
+        add_muscle(model, "DeGrooteFregly2016Muscle", muscle, {"max_isometric_force": strength, **common}, *points)
+    model.finalizeConnections()
+    study, problem = begin(name, model, 0.6)
+    problem.setStateInfo("/jointset/shoulder/shoulder/value", [-0.5, 2], 0.1, 0.9)
+    problem.setStateInfo("/jointset/shoulder/shoulder/speed", [-50, 50], 0, 0)
+    problem.setStateInfoPattern("/forceset/.*/activation", [0.01, 1], 0.05)
+    for muscle, force in (("front", 0.07), ("back", 0.08)):
+        problem.setStateInfo(f"/forceset/{muscle}/normalized_tendon_force", [0, 3], force)
+    problem.setControlInfoPattern("/forceset/.*", [0.01, 1])
+    problem.addGoal(osim.MocoControlGoal("effort"))
+    return finish(study, scheme, intervals, is_linear=is_linear)
+
+
+def squat() -> Any:
+    """Stand up by six muscles, whose activations are free at the start and have a least value."""
+    study, problem = begin("squat", make_leg(), 1.0)
+    for name, limits, first, last in (
+        ("ankle", [-1, 0.8], -0.5, 0),
+        ("knee", [0, 2.2], 1.6, 0.05),
+        ("hip", [-2, 0.5], -1.3, 0),
+    ):
+        problem.setStateInfo(f"/jointset/{name}/{name}/value", limits, first, last)
+        problem.setStateInfo(f"/jointset/{name}/{name}/speed", [-20, 20], 0, 0)
+    problem.setStateInfoPattern("/forceset/.*/activation", [0.01, 1])
+    problem.setControlInfoPattern("/forceset/reserve.*", [-10, 10])
+    effort = osim.MocoControlGoal("effort")
+    effort.setWeightForControlPattern("/forceset/reserve.*", 10.0)
+    problem.addGoal(effort)
     return finish(study, intervals=10)
 
 
@@ -267,6 +345,10 @@ CASES: dict[str, Callable[[], Any]] = {
     "lift": lift,
     "sharp": lambda: mix("sharp", "upper"),
     "direct": lambda: mix("direct", "back"),
+    "mixed": lambda: mix("mixed", "upper", "back"),
+    "squat": squat,
+    "elastic": lambda: stretch("elastic", "implicit", 0.01, "hermite-simpson", 10, is_linear=True),
+    "stiff": lambda: stretch("stiff", "explicit", 0.0, "legendre-gauss-radau-3", 6, is_linear=False),
 }
 
 
@@ -295,7 +377,8 @@ def solve_alone(file: Path) -> float:
     """Solve a study in a new process, since OpenSim keeps the time constants of the first one for all that follow."""
     text = f"import opensim as o; o.Logger.setLevelString('off'); s = o.MocoStudy({str(file)!r}).solve(); "
     text += "print(); print(repr(s.getObjective()) if s.success() else 'unsolved')"
-    run = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True, check=True)
+    own = {**os.environ, "OPENSIM_MOCO_PARALLEL": "0"}
+    run = subprocess.run([sys.executable, "-c", text], env=own, capture_output=True, text=True, check=True)
     return float(run.stdout.splitlines()[-1])
 
 

@@ -30,7 +30,7 @@ from mbsrun.ocp.problem.problem import (
     Unknown,
 )
 from mbsrun.ocp.searching.multistart import Wish, solve_from_many
-from mbsrun.ocp.solution.solution import Solution, read_solution, write_solution
+from mbsrun.ocp.solution.solution import Failure, Solution, read_solution, write_solution
 from mbsrun.ocp.solution.table import write_table
 from mbsrun.ocp.solving.resimulation import resimulate
 from mbsrun.ocp.solving.solve import solve
@@ -356,6 +356,33 @@ def test_the_least_peak_of_an_input() -> None:
     solution = found(replace(problem, unknowns=(Unknown("peak", (0.0, 100.0), 10.0),)), mass())
     assert solution.cost.total == pytest.approx(4.0, rel=1e-7)
     assert solution.trajectory.u[:, 0] == pytest.approx([4, 4, 4, 4, -4, -4, -4, -4], abs=1e-5)
+
+
+@pytest.mark.parametrize(("family", "degree"), [(Family.LOBATTO, 3), (Family.RADAU, 2), (Family.LEGENDRE, 3)])
+def test_a_constraint_of_states_holds_where_a_state_is_free_at_the_start(family: Family, degree: int) -> None:
+    """s' = 1 and s >= 0.3 along the path: the least integral of s over 1 s is 0.3 + 1/2."""
+    problem = replace(push(4, family, degree), cost=Cost(0.0, 0.0, running=(Term("s", 1.0),)))
+    states, limits = (State("s", "1"),), (Constraint("s", (0.3, np.inf)), Constraint("q_x", (-1.0, np.inf)))
+    solution = found(replace(problem, states=states, constraints=limits), mass())
+    assert solution.cost.total == pytest.approx(0.8, rel=1e-7)
+    assert solution.trajectory.states[0] == pytest.approx([0.3], abs=1e-7)
+
+
+@pytest.mark.parametrize("family", [Family.LOBATTO, Family.RADAU])
+def test_a_constraint_of_states_and_unknown_numbers_holds_at_the_start(family: Family) -> None:
+    """The highest floor below a push from 0 to 1 m is 0, its start."""
+    problem = replace(push(4, family, 3), cost=Cost(1e-3, 0.0, terminal=(Term("floor", -1.0),)))
+    limits = (Constraint("q_x - floor", (0.0, np.inf)),)
+    solution = found(replace(problem, unknowns=(Unknown("floor", (-1.0, 1.0), 0.5),), constraints=limits), mass())
+    assert solution.trajectory.unknowns == pytest.approx([0.0], abs=1e-6)
+
+
+def test_a_given_start_is_judged_beside_free_states() -> None:
+    """A constraint on the mechanism is violated at a start that is given, whatever another state does."""
+    problem = replace(push(4), states=(State("s", "1"),), constraints=(Constraint("q_x", (0.1, np.inf)),))
+    outcome = solve(problem, mass())
+    assert isinstance(outcome, Failure)
+    assert "the given start violates a constraint of the path" in outcome.finding
 
 
 def test_a_soft_constraint_is_exact_where_its_weight_is_large() -> None:

@@ -128,6 +128,20 @@ def test_bounds_of_an_elastic_tendon_are_constraints(tmp_path: Path) -> None:
         assert len(list_warnings(findings, "the state of its tendon stays between 0 and 5")) == warned
 
 
+def test_damping_of_explicit_tendons_is_named(tmp_path: Path) -> None:
+    """OpenSim 4.6: the rate of normalised tendon force is the same with any damping; `lift` has explicit dynamics."""
+    soft = ("<ignore_tendon_compliance>true", "<ignore_tendon_compliance>false")
+    assert len(list_warnings(read("lift", tmp_path, soft)[1], "have no fibre damping in OpenSim")) == 1
+    assert not list_warnings(read("elastic", tmp_path)[1], "have no fibre damping in OpenSim")
+
+
+def test_an_initial_equilibrium_of_tendons_holds_anyway(tmp_path: Path) -> None:
+    for mode, wanted in (("", "begin in equilibrium without it"), ("<mode>cost</mode>", "as a cost is not read")):
+        tag = "MocoInitialForceEquilibriumDGFGoal"
+        goal = f'<goals><{tag} name="still">{mode}</{tag}>'
+        assert [x for x in read("elastic", tmp_path, ("<goals>", goal))[1].notices if wanted in x.text]
+
+
 def test_bounds_of_angular_velocities_are_named(tmp_path: Path) -> None:
     """A ball's speeds are angular velocities in OpenSim; both are zero together."""
     zero = [(f"{k}/speed", "0", "0") for k in "xyz"]

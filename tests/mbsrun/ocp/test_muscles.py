@@ -90,7 +90,11 @@ def test_a_mass_hangs_on_an_elastic_tendon_as_in_moco() -> None:
 
 FAULTS = {
     "times": ("fall: 0.06", "", "one time of activation dynamics; give rise and fall, or neither"),
-    "course": ("inputs: polynomial", "inputs: linear", "a value at each collocation point; take inputs: polynomial"),
+    "course": (
+        "inputs: polynomial",
+        "inputs: constant",
+        "a value at each collocation point; take inputs: polynomial, or linear",
+    ),
     "muscles": ("hanging.yaml", "sliding_mass.yaml", "the model has no muscles; give it some, with type: muscle"),
     "key": ("rise: 0.015", "rises: 0.015", "rises"),
 }

@@ -17,6 +17,7 @@ from mbsgen.importing.omoco.study import FREE, Range, Study, Variable, find_text
 from mbsgen.importing.omoco.turning import warn_of_bounds, warn_of_goal
 
 _ALL = ("enabled", "weight", "mode", "divide_by_duration", "MocoConstraintInfo", "scale_factors")
+_CONSTRAINTS = ("MocoPeriodicityGoal", "MocoInitialForceEquilibriumDGFGoal")  # by default
 _PLAIN = re.compile(r"[A-Za-z_][\w.]*")
 _WORDS = ("null", "true", "false", "yes", "no", "on", "off", "y", "n")  # of YAML
 
@@ -53,13 +54,14 @@ class Goals:
             "MocoStateTrackingGoal": (self._track_states, ("reference", "state_weights", "pattern")),
             "MocoMarkerTrackingGoal": (self._track_markers, ("markers_reference",)),
             "MocoPeriodicityGoal": (self._add_period, ("state_pairs", "control_pairs")),
+            "MocoInitialForceEquilibriumDGFGoal": (self._balance_tendons, ()),
         }
         for goal in self._study.goals:
             if find_text(goal, "enabled").lower() == "false":
                 self._findings.tell(goal, "it is switched off in the file: left out")
             elif goal.tag not in readers:
                 self._findings.warn(goal, "this goal has no counterpart that is written here: left out")
-            elif find_text(goal, "mode") == "endpoint_constraint" and goal.tag != "MocoPeriodicityGoal":
+            elif find_text(goal, "mode") == "endpoint_constraint" and goal.tag not in _CONSTRAINTS:
                 self._findings.warn(goal, "a goal as a constraint is not read: left out")
             else:
                 reader, own = readers[goal.tag]
@@ -165,8 +167,7 @@ class Goals:
         self.parts.track.append(f"{{reference: {reference}, markers: {{{shown}}}, weight: {weight!r}{more}}}")
 
     def _add_period(self, goal: Element, _: float) -> None:
-        if find_text(goal, "mode") == "cost":
-            self._findings.warn(goal, "a period as a cost is not read: left out")
+        if self._is_cost(goal):
             return
         for kind, known in (("state_pairs", self._states), ("control_pairs", self._controls)):
             paths = {x.path: x for x in known}
@@ -185,6 +186,18 @@ class Goals:
                 if not missing:
                     self._warn_of_rates(pair, [paths[first], paths[last]])
                     self._pair(paths[first], paths[last], -1 if _is_true(pair, "negate") else 1)
+
+    def _balance_tendons(self, goal: Element, _: float) -> None:
+        """Name the equilibrium of elastic tendons at the start, which holds anyway."""
+        if not self._is_cost(goal):
+            self._findings.tell(goal, "elastic tendons begin in equilibrium without it")
+
+    def _is_cost(self, goal: Element) -> bool:
+        """Return whether a goal that is a constraint here is a cost in the file; with a warning."""
+        is_cost = find_text(goal, "mode") == "cost"
+        if is_cost:
+            self._findings.warn(goal, "this goal as a cost is not read: left out")
+        return is_cost
 
     def _pair(self, first: Variable, last: Variable, sign: int) -> None:
         """Make a variable at the end equal to another one at the start, or to its opposite."""

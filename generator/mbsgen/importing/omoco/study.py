@@ -328,7 +328,15 @@ class _File:
                 if f"{signal}_tendon" in imported.model.signals and element.tag in _LAGS and not self._choices.degroote:
                     self._unread[f"{path}/fiber_length"] = "the state here is the strain of the tendon"
                 elif f"{signal}_tendon" in imported.model.signals:
+                    self._warn_of_damping(element)
                     yield Variable(f"{path}/normalized_tendon_force", f"{signal}_tendon", "tendon", signal)
+
+    def _warn_of_damping(self, element: Element) -> None:
+        """Warn of fibre damping that OpenSim leaves out where the dynamics of a tendon is explicit, as by default."""
+        is_implicit = find_text(element, "tendon_compliance_dynamics_mode") == "implicit"
+        if not is_implicit and self._number(element, "fiber_damping", 0.0):
+            finding = "explicit dynamics of its tendon have no fibre damping in OpenSim, but here they have: give 0"
+            self._findings.warn(element.first("fiber_damping") or element, finding)
 
     def _read_lag(self, element: Element) -> Lag | None:
         """Read the activation dynamics of a muscle."""

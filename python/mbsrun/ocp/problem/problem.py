@@ -174,6 +174,7 @@ class Control:
     rates: Range = (-math.inf, math.inf)  # of (c_(k+1) - c_k) / h, where it is constant
     softens: str = ""  # the constraint that it lets be violated, where it is a slack
     bounds_from_above: str = ""  # the term of the cost that it stands for, an absolute value or a maximum
+    is_steady: bool = False  # it is constant over each interval, though inputs are polynomials
 
     @property
     def is_auxiliary(self) -> bool:

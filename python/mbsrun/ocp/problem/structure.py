@@ -50,6 +50,7 @@ class Structure:
     added: Added = field(default_factory=Added)
     rates: tuple[str, ...] = ()  # of the states that the problem adds
     ending: tuple[int, ...] = ()  # of them, the ones with a condition at the end
+    starting: tuple[int, ...] = ()  # of them, the ones that are free at the start, or have a range there
     forces: tuple[tuple[int, str], ...] = ()  # inputs that expressions give, in order
     wrenches: tuple[tuple[str, int, str | None], ...] = ()  # components of open wrenches: name, number, expression
     driven: tuple[str, ...] = ()  # the motions of driven joints, in the order of the joints
@@ -59,6 +60,7 @@ class Structure:
     rated_inputs: tuple[int, ...] = ()  # whose rates have bounds
     rated_controls: tuple[int, ...] = ()
     priced_controls: tuple[int, ...] = ()  # whose rates have a weight
+    steady: tuple[int, ...] = ()  # controls that are constant over each interval, though inputs are polynomials
     implicit: tuple[tuple[int, int], ...] = ()  # a constraint, and the control that it determines at each point
 
     @property
@@ -129,6 +131,7 @@ def _find_structure(problem: Problem) -> Structure:
         inputs=problem.inputs,
         rated_inputs=tuple(list_bounded(problem.bounds.rates)),
         rated_controls=tuple(list_bounded([control.rates for control in problem.controls])),
+        steady=tuple(i for i, control in enumerate(problem.controls) if control.is_steady),
         priced_controls=tuple(problem.added.controls.index(name) for name, _ in cost.control_rates),
         known_velocities=_list_known_velocities(problem) if problem.loops is Loops.REDUCED else (),
         added=problem.added,
@@ -139,6 +142,7 @@ def _find_structure(problem: Problem) -> Structure:
         driven=tuple(drive.expression for drive in sorted(problem.driven, key=lambda drive: drive.joint)),
         wrenches=tuple((part.wrench, part.component, part.expression) for part in problem.every_component),
         ending=tuple(i for i, state in enumerate(problem.every_state) if np.isfinite(state.end).any()),
+        starting=tuple(i for i, state in enumerate(problem.every_state) if state.start[0] != state.start[1]),
     )
 
 

@@ -22,7 +22,7 @@ from mbsrun.ocp.evaluation.values import Values
 from mbsrun.ocp.ground.functions import Array, Indices
 from mbsrun.ocp.ground.plant import Plant
 from mbsrun.ocp.problem.contacts import write_friction
-from mbsrun.ocp.problem.problem import Problem, Range
+from mbsrun.ocp.problem.problem import Problem, Range, list_names
 from mbsrun.ocp.solution.solution import Margin, Margins
 from mbsrun.quantities import SENSED, find_component
 
@@ -160,15 +160,19 @@ def find_wrong_start(problem: Problem, plant: Plant) -> tuple[str, str] | None:
     """Find a constraint of the path that a start violates which is given whole: the finding, and its place.
 
     No motion from there keeps it. A program leaves such a constraint out at the start, where nothing can change.
+    Constraints that read a state without a given start are not judged.
     """
     states, horizon = problem.every_state, np.full((1, 1), problem.horizon)
-    if problem.free_start or any(state.start[0] != state.start[1] for state in states):
+    if problem.free_start:
         return None
+    free = {state.name for state in states if state.start[0] != state.start[1]}
     begin = {"t": np.zeros((1, 1)), "T": horizon, "q": np.array([problem.start_q]), "qd": np.array([problem.start_qd])}
     begin["states"] = np.array([[state.start[0] for state in states]])
     for i, constraint in enumerate(problem.constraints):
+        if free & list_names(constraint.expression, problem.functions) or constraint.at != "path":
+            continue
         values = Values([constraint.expression], problem, plant)
-        if constraint.at != "path" or constraint.is_relaxed or not values.kinds <= {"q", "qd", "states", "t", *SENSED}:
+        if constraint.is_relaxed or not values.kinds <= {"q", "qd", "states", "t", *SENSED}:
             continue
         value, limits = values(begin)[0], constraint.range
         margin = Margin(constraint.label, float(value[0]), limits, 0.0, 0, find_tolerated(limits, value))

@@ -6,7 +6,9 @@ Each muscle whose activation is a signal gets an excitation e, a control. Its ac
 
 as in De Groote, Kinney, Rao, Fregly (2016) and OpenSim's DeGrooteFregly2016Muscle. A `sharp` law has f = 1/2 where
 e > a, else -1/2, as OpenSim's muscles of Millard and Thelen have it. The force s of an elastic tendon, over the
-strength, is a state. Its rate is a control that the equation of equilibrium determines at each collocation point.
+strength, is a state. Its rate is a control that the equation of equilibrium determines at each collocation point. At a
+start that is no such point, and of no phase, the rate is an unknown number: else the tendon could begin with a
+force that no fibres balance.
 """
 
 from __future__ import annotations
@@ -20,6 +22,7 @@ from mbsgen.expressions import Expression, Name, Number, fold, is_free_name, par
 from mbsgen.manifest import Fibres
 from mbsrun.metabolics import EXCITATION, PRICED, RATE, name_numbers, write_rate
 from mbsrun.ocp.ground.plant import Plant
+from mbsrun.ocp.ground.schemes import Family
 from mbsrun.ocp.problem.problem import Constraint
 from mbsrun.ocp.statement.sections import (
     ControlSection,
@@ -28,6 +31,7 @@ from mbsrun.ocp.statement.sections import (
     ProblemSection,
     StateSection,
     TermSection,
+    UnknownSection,
 )
 
 _ACTIVATION = parse(
@@ -36,6 +40,7 @@ _ACTIVATION = parse(
 _SHARP = parse("max(e - a, 0)/(rise*(0.5 + 1.5*a)) + min(e - a, 0)*(0.5 + 1.5*a)/fall")
 _STRONGEST = 5.0  # force of a tendon over the strength
 _QUICKEST = 1000.0  # its rate [1/s]
+_START = "{}_start_rate"  # at the start
 
 Blame = Callable[[Place, str, str], None]  # of a place, a finding and a remedy
 
@@ -60,8 +65,11 @@ class _Muscle:
         return self.activation if lag.rise is None or lag.fall is None else EXCITATION.format(self.activation)
 
 
-def add_muscles(section: ProblemSection, plant: Plant, blame: Blame) -> ProblemSection:
-    """Return a problem with states, controls and costs of muscles; `blame` takes faults."""
+def add_muscles(section: ProblemSection, plant: Plant, blame: Blame, *, is_phase: bool = False) -> ProblemSection:
+    """Return a problem with states, controls and costs of muscles; `blame` takes faults.
+
+    A link may give the start of a phase.
+    """
     wanted = section.muscles
     if wanted is None:
         return section
@@ -78,10 +86,10 @@ def add_muscles(section: ProblemSection, plant: Plant, blame: Blame) -> ProblemS
         blame(("muscles", "own", key), f"there is no muscle {abbreviate(key)}", remedy)
     elastic = [x for x in muscles if x.tendon is not None]
     course = section.inputs if isinstance(section.inputs, str) else section.inputs.course
-    if elastic and course != "polynomial":
+    if elastic and course == "constant":
         finding = "rates of elastic tendons have a value at each collocation point"
-        blame(("muscles",), finding, "take inputs: polynomial")
-    states, controls = dict(section.states), dict(section.controls)
+        blame(("muscles",), finding, "take inputs: polynomial, or linear")
+    states, controls, unknowns = dict(section.states), dict(section.controls), dict(section.unknowns)
     running = [*section.cost.running, *(_price(muscle, wanted) for muscle in muscles)]
     for muscle in muscles:
         drive = muscle.drive(wanted)
@@ -91,16 +99,23 @@ def add_muscles(section: ProblemSection, plant: Plant, blame: Blame) -> ProblemS
         if muscle.tendon is not None:
             rate = RATE.format(muscle.tendon)
             states[muscle.tendon] = _state(rate, None, (Number(0.0), Number(_STRONGEST)), wanted.guess)
-            controls[rate] = _control((Number(-_QUICKEST), Number(_QUICKEST)), Number(0.0))
+            quickest = Number(-_QUICKEST), Number(_QUICKEST)
+            controls[rate] = _control(quickest, Number(0.0))
+            if section.scheme is not Family.LOBATTO and not is_phase:
+                start = UnknownSection.model_construct(guess=Number(0.0), range=quickest)
+                unknowns[_START.format(muscle.tendon)] = start
     cost = section.cost.model_copy(update={"running": tuple(running)})
-    return section.model_copy(update={"states": states, "controls": controls, "cost": cost})
+    added = {"states": states, "controls": controls, "unknowns": unknowns, "cost": cost}
+    return section.model_copy(update=added)
 
 
 def list_equilibria(section: ProblemSection, plant: Plant) -> tuple[Constraint, ...]:
     """Return the equations of elastic tendons of a problem with `muscles`."""
     if section.muscles is None:
         return ()
-    return tuple(_balance(x, plant) for x in _list_muscles(plant, lambda *_: None) if x.tendon is not None)
+    elastic = [x for x in _list_muscles(plant, lambda *_: None) if x.tendon is not None]
+    starting = [x for x in elastic if _START.format(x.tendon) in section.unknowns]
+    return (*(_balance(x, plant) for x in elastic), *(_begin(x, plant) for x in starting))
 
 
 def list_metabolic_rates(section: ProblemSection, plant: Plant) -> Mapping[str, str]:
@@ -146,6 +161,15 @@ def _balance(muscle: _Muscle, plant: Plant) -> Constraint:
     rate = RATE.format(muscle.tendon)
     text = _write(write_equilibrium(muscle.fibres, muscle.name, rate), plant)
     return Constraint(text, (0.0, 0.0), name=f"the equilibrium of {muscle.name}", gives=rate)
+
+
+def _begin(muscle: _Muscle, plant: Plant) -> Constraint:
+    """Make the constraint of the equilibrium of an elastic tendon at a start that is no collocation point."""
+    assert muscle.tendon is not None, "the tendon is elastic"
+    rate = RATE.format(muscle.tendon)
+    own = {rate: Name(_START.format(muscle.tendon))}
+    text = _write(substitute(write_equilibrium(muscle.fibres, muscle.name, rate), own), plant)
+    return Constraint(text, (0.0, 0.0), "start", name=f"the equilibrium of {muscle.name} at the start")
 
 
 def _write(expression: Expression, plant: Plant) -> str:

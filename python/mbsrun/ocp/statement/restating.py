@@ -6,7 +6,7 @@ These are soft constraints, largest values, rates of controls, linear inputs, an
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 
 from mbsgen.documents import Place, abbreviate
@@ -34,8 +34,19 @@ LINK = "link"  # the history of an input: commands of the phase before
 class Rewriting:
     """Reads the keys, and rewrites a problem."""
 
-    def __init__(self, reading: PartReading, section: ProblemSection, inputs: Sequence[str], prefix: str) -> None:
-        """Add the names of slacks, largest values and rates; `prefix` keeps the numbers of phases apart."""
+    def __init__(
+        self,
+        reading: PartReading,
+        section: ProblemSection,
+        inputs: Sequence[str],
+        prefix: str,
+        determined: Collection[str] = (),
+    ) -> None:
+        """Add the names of slacks, largest values and rates; `prefix` keeps the numbers of phases apart.
+
+        `determined` are controls that an equation gives at each point: they stay polynomials beside linear inputs.
+        """
+        self.determined = frozenset(determined)
         self.reading, self.section, self.inputs, self.prefix = reading, section, inputs, prefix
         given = section.inputs
         self.form = given if isinstance(given, InputsSection) else InputsSection(course=given)
@@ -48,7 +59,7 @@ class Rewriting:
             for i, part in enumerate(section.cost.largest)
         ]
         self.lifted_inputs = [i for i in range(len(inputs)) if self._is_lifted_input(i)]
-        self.lifted_controls = [name for name, part in section.controls.items() if self._is_lifted_control(part)]
+        self.lifted_controls = [name for name, part in section.controls.items() if self._is_lifted_control(name, part)]
         for i in self.lifted_inputs:
             reading.add_name(("inputs",), self.states[i], "the continuous input", Quantity("states", 0))
             reading.add_name(("inputs",), RATE + self.texts[i], "the rate of an input", Quantity("controls", 0))
@@ -62,7 +73,8 @@ class Rewriting:
     @property
     def course(self) -> Course:
         """Return the course of the inputs that stay inputs: linear ones are states with constant rates."""
-        return "polynomial" if self.form.course == "polynomial" else "constant"
+        is_mixed = self.form.course == "linear" and bool(self.determined)
+        return "polynomial" if self.form.course == "polynomial" or is_mixed else "constant"
 
     def apply(self, problem: Problem) -> Problem:
         """Rewrite a problem that was read without these keys."""
@@ -81,7 +93,14 @@ class Rewriting:
             self.reading.check_formula((*place, "expression"), peak.expression)
             weight = self.reading.number((*place, "weight"), peak.weight, least=math.ulp(0))
             problem = price_largest(problem, peak.expression, weight, self.peaks[i], is_absolute=peak.absolute)
-        return self._bound_kinks(problem) if problem.form is Form.STANDARD and not self.reading.faults else problem
+        if problem.form is Form.STANDARD and not self.reading.faults:
+            problem = self._bound_kinks(problem)
+        return self._hold_steady(problem) if self.form.course == "linear" and self.determined else problem
+
+    def _hold_steady(self, problem: Problem) -> Problem:
+        """Let the controls that no equation gives be constant over each interval, as rates of linear inputs are."""
+        controls = tuple(replace(x, is_steady=x.name not in self.determined) for x in problem.controls)
+        return replace(problem, controls=controls)
 
     def _bound_kinks(self, problem: Problem) -> Problem:
         """Bound absolute values and maxima of the cost."""
@@ -128,9 +147,10 @@ class Rewriting:
         has_price = cost.input_rates != type(cost).model_fields["input_rates"].default
         return self.form.course == "linear" or (self.form.course == "polynomial" and (is_bounded or has_price))
 
-    def _is_lifted_control(self, section: ControlSection) -> bool:
+    def _is_lifted_control(self, name: str, section: ControlSection) -> bool:
         has_rate = section.rate is not None
-        return self.form.course == "linear" or (self.form.course == "polynomial" and has_rate)
+        is_linear = self.form.course == "linear" and name not in self.determined
+        return is_linear or (self.form.course == "polynomial" and has_rate)
 
     def _rate(self, problem: Problem) -> Problem:
         """Read the rates of controls."""

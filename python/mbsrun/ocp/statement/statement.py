@@ -261,13 +261,16 @@ class _Reading(PartReading):
 
     def problem(self, name: str, section: ProblemSection) -> Problem:
         """Make the problem, which is valid only if there are no faults."""
-        section = add_muscles(section, self.plant, self.fault)
+        section = add_muscles(section, self.plant, self.fault, is_phase=self.is_phase)
         for key, expression in section.constants.items():
             if not is_free_name(key) or key in self.quantities:
                 self.fault(("constants", key), "no name for a constant", "give a name that nothing else has")
             self.constants[key] = self.number(("constants", key), expression)
         self.add_names(section)
-        self.rewriting = Rewriting(self, section, self.inputs.known, f"{name}_" if self.is_phase else "")
+        equilibria = list_equilibria(section, self.plant)
+        determined = [x.gives for x in equilibria if x.gives]
+        prefix = f"{name}_" if self.is_phase else ""
+        self.rewriting = Rewriting(self, section, self.inputs.known, prefix, determined)
         parameters, unknowns = self.parameters(section.parameters), self.unknowns(section.unknowns)
         if not self.faults:
             changed = dict(parameters) | {x.name: x.guess for x in unknowns if x.name in self.plant.parameters}
@@ -334,7 +337,7 @@ class _Reading(PartReading):
             end=end,
             horizon_range=horizon_range,
             free_start=(*free_q, *(len(start_q) + i for i in free_qd)),
-            constraints=(*constraints, *complements, *self.orient(end), *list_equilibria(section, self.plant)),
+            constraints=(*constraints, *complements, *self.orient(end), *equilibria),
             guess=self.guess(section.guess, bounds, start_q, free_q, section.start.pose if section.start else {}, end),
             parameters=parameters,
             unknowns=unknowns,

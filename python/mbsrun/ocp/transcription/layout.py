@@ -100,11 +100,17 @@ class Extras:
     point_states: Indices  # (N, S, ns)
     nodes: Indices  # (N, S, ns): the same, or slopes at the first points
     controls: Indices  # (N, nc); (N, 0) where they are polynomials
-    point_controls: Indices  # (N, S, nc); (N, S, 0) where they are constant
+    point_controls: Indices  # (N, S, nc), a steady one being the same at all; (N, S, 0) where all are constant
     forces: Indices  # (N, S, ...): inputs u that expressions give
     wrenches: Indices  # (N, S, nw): components of open wrenches
     given: tuple[int, ...]  # entries of u that expressions give
     m: int  # entries of u
+    steady: tuple[int, ...] = ()  # controls that are constant over each interval, though others are polynomials
+
+    @property
+    def varying(self) -> list[int]:
+        """List the controls with a value at each stage."""
+        return [i for i in range(self.point_controls.shape[2]) if i not in self.steady]
 
     @property
     def free(self) -> tuple[int, ...]:
@@ -172,8 +178,9 @@ class Layout:
     def every_input(self) -> Indices:
         """List the inputs and controls of each interval, (N, ...)."""
         N, extras = self.grid.intervals, self.extras
-        points = np.concatenate((self.point_inputs, extras.point_controls), axis=2)
-        return np.concatenate((self.inputs, extras.controls, points.reshape(N, -1)), axis=1)
+        points = np.concatenate((self.point_inputs, extras.point_controls[:, :, extras.varying]), axis=2)
+        steady = extras.point_controls[:, 0, list(extras.steady)]
+        return np.concatenate((self.inputs, extras.controls, points.reshape(N, -1), steady), axis=1)
 
     def list_inputs(self) -> Indices:
         """List the inputs of the mechanism that the solver chooses."""
@@ -192,6 +199,7 @@ class ExtraSizes:
     controls: int = 0
     given: tuple[int, ...] = ()  # entries of u that expressions give
     wrenches: int = 0  # components
+    steady: tuple[int, ...] = ()  # controls that are constant over each interval, though others are polynomials
 
 
 @dataclass(frozen=True)
@@ -274,7 +282,9 @@ def lay_out(
         len(motions.driven),
     )
     at_stage = sum(sizes)
-    values = (free + controls) * (1 if has_constant_inputs else S)
+    steady = () if has_constant_inputs else added.steady
+    varying = [i for i in range(controls) if i not in steady]
+    values = free + controls if has_constant_inputs else (free + len(varying)) * S + len(steady)
     before = width + states + S * at_stage
     stride = before + closed * len(motions.found) + values
     first = np.arange(N + 1) * stride
@@ -288,7 +298,10 @@ def lay_out(
     if has_constant_inputs:
         inputs, point_inputs = every, np.zeros((N, S, 0), dtype=np.int64)
     else:
-        inputs, point_inputs = every[:, :0], every.reshape(N, S, free + controls)
+        at_points, held = np.split(every, [values - len(steady)], axis=1)
+        inputs, point_inputs = every[:, :0], np.zeros((N, S, free + controls), dtype=np.int64)
+        point_inputs[:, :, [*range(free), *(free + i for i in varying)]] = at_points.reshape(N, S, free + len(varying))
+        point_inputs[:, :, [free + i for i in steady]] = held[:, None]
     return Layout(
         motions=motions,
         grid=grid,
@@ -318,6 +331,7 @@ def lay_out(
             wrenches,
             added.given,
             m,
+            steady,
         ),
     )
 
@@ -555,9 +569,13 @@ def _read_inputs(
     nc = extras.controls.shape[1] + extras.point_controls.shape[2]
     own = group(extras.free, layout.inputs, layout.point_inputs)
     given = Group(extras.given, extras.forces[interval], reading.W)
+    courses = [group(extras.varying or range(nc), extras.controls, extras.point_controls[:, :, extras.varying])]
+    if extras.steady:
+        held = extras.point_controls[:, 0, list(extras.steady)]
+        courses.append(group(extras.steady, held, extras.point_controls[:, :, :0]))
     return (
         mix(extras.m, (own, given), which),
-        mix(nc, (group(range(nc), extras.controls, extras.point_controls),), which),
+        mix(nc, tuple(courses), which),
         read(extras.wrenches),
         read(layout.drives),
         read(layout.driving),

@@ -10,28 +10,33 @@ from mbsrun.ocp.ground import formulas
 from mbsrun.ocp.ground.functions import Indices
 from mbsrun.ocp.ground.program import Block
 from mbsrun.ocp.problem.problem import list_names
+from mbsrun.ocp.problem.structure import Structure
 from mbsrun.ocp.transcription.layout import Places, at_mesh
 from mbsrun.ocp.transcription.quantities import Quantity, list_quantities
 from mbsrun.ocp.transcription.writing.cost import find_steps
 from mbsrun.ocp.transcription.writing.sheet import Sheet
+from mbsrun.quantities import SENSED
 
 
 def write_constraints(sheet: Sheet) -> tuple[Indices, ...]:
     """Write the constraints by expressions; those at the same places are one function."""
     N, shape = sheet.shape.intervals, sheet.shape
     kinds = list_quantities(sheet.manifest, shape.added)
-    path_mesh = [*([0] * shape.start_is_free), *(() if sheet.scheme.ends_interval else range(1, N + 1))]
-    on_path = [i for i, (_, at) in enumerate(shape.constraints) if at == "path"]
-    of_states = [i for i in on_path if not _reads_jumps(list_names(shape.constraints[i][0], shape.functions), kinds)]
+    inner = [] if sheet.scheme.ends_interval else [*range(1, N + 1)]
+    on_path = _choose(shape, "path")
+    read = {i: list_names(shape.constraints[i][0], shape.functions) for i in on_path}
+    of_states = [i for i in on_path if not _reads_jumps(read[i], kinds)]
+    first = [i for i in of_states if _may_change_at_start(read[i], kinds, shape)]
+    given = [i for i in of_states if i not in first]
     rows: list[list[Indices]] = [[] for _ in shape.constraints]
-    for chosen, places in (
-        *_list_points(sheet, on_path, of_states),
-        (of_states, at_mesh(sheet.layout, sheet.integrator, path_mesh)),
-        ([i for i, (_, at) in enumerate(shape.constraints) if at == "start"], sheet.first),
-        ([i for i, (_, at) in enumerate(shape.constraints) if at == "end"], sheet.last),
+    mesh = [(x, at_mesh(sheet.layout, sheet.integrator, k)) for x, k in ((first, [0, *inner]), (given, inner))]
+    points, later = _list_points(sheet, on_path, of_states)
+    for chosen, places, stages in (
+        *((x, at, at.interval) for x, at in points),
+        *((x, at, at.stage) for x, at in (*later, *mesh)),
+        *((_choose(shape, end), at, at.interval) for end, at in (("start", sheet.first), ("end", sheet.last))),
     ):
         if chosen and places.s.size:
-            stages = places.stage if chosen is of_states else places.interval
             taken = sheet.take(np.tile(stages, len(chosen)).reshape(len(chosen), -1), len(chosen), places.s.size)
             sheet.blocks.append(sheet.apply([shape.constraints[i][0] for i in chosen], places, taken, stages))
             for i, row in zip(chosen, taken, strict=True):
@@ -39,13 +44,25 @@ def write_constraints(sheet: Sheet) -> tuple[Indices, ...]:
     return tuple(np.concatenate(parts) for parts in rows)
 
 
-def _list_points(sheet: Sheet, on_path: list[int], of_states: list[int]) -> list[tuple[list[int], Places]]:
-    """List constraints with their points; constraints of states skip the first point of an interval, a mesh point."""
+_Points = list[tuple[list[int], Places]]
+
+
+def _list_points(sheet: Sheet, on_path: list[int], of_states: list[int]) -> tuple[_Points, _Points]:
+    """List constraints with their points; constraints of states skip the first point of an interval, a mesh point.
+
+    The second list has the constraints that do.
+    """
     if not sheet.scheme.begins_interval:
-        return [(on_path, sheet.points)]
+        return [(on_path, sheet.points)], []
     N, d = sheet.shape.intervals, sheet.scheme.degree
     later = np.arange(N * d).reshape(N, d)[:, 1:].ravel()
-    return [([i for i in on_path if i not in of_states], sheet.points), (of_states, sheet.points.restrict(later))]
+    jumping = [i for i in on_path if i not in of_states]
+    return [(jumping, sheet.points)], [(of_states, sheet.points.restrict(later))]
+
+
+def _choose(shape: Structure, place: str) -> list[int]:
+    """Return the constraints that hold at a place."""
+    return [i for i, (_, at) in enumerate(shape.constraints) if at == place]
 
 
 def write_input_rates(sheet: Sheet) -> Indices:
@@ -70,3 +87,12 @@ def write_input_rates(sheet: Sheet) -> Indices:
 def _reads_jumps(read: Set[str], known: Mapping[str, Quantity]) -> bool:
     """Return whether an expression reads inputs or accelerations, which jump where an interval ends."""
     return any(known[name].kind in ("u", "qdd", "w", "tau", "controls") for name in read if name in known)
+
+
+def _may_change_at_start(read: Set[str], known: Mapping[str, Quantity], shape: Structure) -> bool:
+    """Return whether a number of states is not given at the start: it reads what is free there."""
+    if shape.start_is_free:
+        return True
+    own = [known[name] for name in read if name in known]
+    is_free = any(x.kind in ("T", "unknowns") or (x.kind == "states" and x.index in shape.starting) for x in own)
+    return is_free or (bool(shape.added.unknowns) and any(x.kind in SENSED for x in own))

@@ -57,6 +57,7 @@ class Sheet:
                 controls=len(shape.added.controls),
                 given=tuple(i for i, _ in shape.forces),
                 wrenches=len(self.components),
+                steady=shape.steady,
             ),
             unknowns=len(shape.added.unknowns) + design.count_fixed(shape.added.unknowns, plant.manifest),
             has_constant_inputs=shape.inputs == "constant",
