@@ -98,7 +98,7 @@ class Rewriting:
         return self._hold_steady(problem) if self.form.course == "linear" and self.determined else problem
 
     def _hold_steady(self, problem: Problem) -> Problem:
-        """Let the controls that no equation gives be constant over each interval, as rates of linear inputs are."""
+        """Mark the controls that no equation gives as constant over each interval, as rates of linear inputs are."""
         controls = tuple(replace(x, is_steady=x.name not in self.determined) for x in problem.controls)
         return replace(problem, controls=controls)
 
