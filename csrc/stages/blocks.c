@@ -231,34 +231,40 @@ void mbs_stages_add_rows(int width, int count, real factor, const real *by, int 
         add_rows_1(count, factor, by, step, rows + c, w, out + c);
 }
 
-/* A tile of M, ROWS by COUNT vectors. */
-#define GRAM(NAME, VECTOR, ROWS, COUNT)                                                                               \
+/* A tile of M, ROWS by COUNT vectors. One of EARLY and LATE is the factor, the other one 1: where it is early, gcc does not
+ * read four times what few rows share; where it is late, many rows have fewer products. */
+#define GRAM(NAME, VECTOR, ROWS, COUNT, EARLY, LATE)                                                                  \
     static void NAME(int m, real factor, const real *restrict S, size_t lds, const real *restrict Z, size_t ldz,      \
                      real *restrict M, size_t ldm)                                                                    \
     {                                                                                                                 \
         const real zeros[COUNT * sizeof(VECTOR) / sizeof(real)] = {0};                                                \
-        VECTOR sum[ROWS][COUNT];                                                                                      \
+        VECTOR sum[ROWS][COUNT], z[COUNT];                                                                            \
         int j, b, c;                                                                                                  \
         for (b = 0; b < ROWS; ++b)                                                                                    \
             for (c = 0; c < COUNT; ++c)                                                                               \
                 sum[b][c] = ((const VECTOR *)zeros)[c];                                                               \
-        for (j = 0; j < m; ++j, S += lds, Z += ldz)                                                                   \
+        for (j = 0; j < m; ++j, S += lds, Z += ldz) {                                                                 \
+            for (c = 0; c < COUNT; ++c) {                                                                             \
+                z[c] = ((const VECTOR *)Z)[c];                                                                        \
+                LANES_SCALE(z[c], EARLY);                                                                             \
+            }                                                                                                         \
             for (b = 0; b < ROWS; ++b)                                                                                \
                 for (c = 0; c < COUNT; ++c)                                                                           \
-                    LANES_ADD(sum[b][c], S[b], ((const VECTOR *)Z)[c]);                                               \
+                    LANES_ADD(sum[b][c], S[b], z[c]);                                                                 \
+        }                                                                                                             \
         for (b = 0; b < ROWS; ++b, M += ldm)                                                                          \
             for (c = 0; c < COUNT; ++c)                                                                               \
-                LANES_ADD(((VECTOR *)M)[c], factor, sum[b][c]);                                                       \
+                LANES_ADD(((VECTOR *)M)[c], LATE, sum[b][c]);                                                         \
     }
-GRAM(gram_4_2, lanes, 4, 2)
-GRAM(gram_4_1, lanes, 4, 1)
+GRAM(gram_4_2, lanes, 4, 2, factor, 1)
+GRAM(gram_4_1, lanes, 4, 1, factor, 1)
 #if MBS_STAGES_WIDE
-GRAM(wide_8_3, wide, 8, 3)
-GRAM(wide_8_2, wide, 8, 2)
-GRAM(wide_8_1, wide, 8, 1)
-GRAM(wide_4_2, wide, 4, 2)
-GRAM(wide_4_1, wide, 4, 1)
-GRAM(gram_8_1, lanes, 8, 1)
+GRAM(wide_8_3, wide, 8, 3, 1, factor)
+GRAM(wide_8_2, wide, 8, 2, 1, factor)
+GRAM(wide_8_1, wide, 8, 1, 1, factor)
+GRAM(wide_4_2, wide, 4, 2, factor, 1)
+GRAM(wide_4_1, wide, 4, 1, factor, 1)
+GRAM(gram_8_1, lanes, 8, 1, 1, factor)
 
 /* The first columns, as many as make whole vectors, of a tile of 8 rows or 4; returns how many. */
 static int gram_widely(int m, int rows, int columns, real factor, const real *S, size_t lds, const real *Z, size_t ldz,

@@ -100,14 +100,15 @@ void mbs_stages_matrix_apply_symmetric(const mbs_stages_matrix *A, const real *x
                 ((VECTOR *)Z)[c] = sum[c];                                                                            \
         }                                                                                                             \
     }
-MULTIPLY_ROWS(multiply_lanes, lanes, 1)
 #if MBS_STAGES_WIDE
 MULTIPLY_ROWS(multiply_wide_4, wide, 4)
+MULTIPLY_ROWS(multiply_wide_3, wide, 3)
 MULTIPLY_ROWS(multiply_wide_2, wide, 2)
 MULTIPLY_ROWS(multiply_wide_1, wide, 1)
 #else
 MULTIPLY_ROWS(multiply_lanes_4, lanes, 4)
 MULTIPLY_ROWS(multiply_lanes_2, lanes, 2)
+MULTIPLY_ROWS(multiply_lanes, lanes, 1)
 #endif
 
 void mbs_stages_matrix_multiply_rows(const mbs_stages_matrix *A, const mbs_stages_part *part, int width, int ld,
@@ -116,20 +117,22 @@ void mbs_stages_matrix_multiply_rows(const mbs_stages_matrix *A, const mbs_stage
     const size_t w = (size_t)ld;
     int c = 0;
 #if MBS_STAGES_WIDE
-    for (; c + 4 * MBS_STAGES_LINE <= width; c += 4 * MBS_STAGES_LINE)
+    for (; c + 3 * MBS_STAGES_LINE < width; c += 4 * MBS_STAGES_LINE)
         multiply_wide_4(A, part, w, V + c, Z + c);
-    for (; c + 2 * MBS_STAGES_LINE <= width; c += 2 * MBS_STAGES_LINE)
+    if (c + 2 * MBS_STAGES_LINE < width)
+        multiply_wide_3(A, part, w, V + c, Z + c);
+    else if (c + MBS_STAGES_LINE < width)
         multiply_wide_2(A, part, w, V + c, Z + c);
-    for (; c + MBS_STAGES_LINE <= width; c += MBS_STAGES_LINE)
+    else if (c < width)
         multiply_wide_1(A, part, w, V + c, Z + c);
 #else
     for (; c + 4 * MBS_STAGES_LANES <= width; c += 4 * MBS_STAGES_LANES)
         multiply_lanes_4(A, part, w, V + c, Z + c);
     for (; c + 2 * MBS_STAGES_LANES <= width; c += 2 * MBS_STAGES_LANES)
         multiply_lanes_2(A, part, w, V + c, Z + c);
-#endif
     for (; c < width; c += MBS_STAGES_LANES)
         multiply_lanes(A, part, w, V + c, Z + c);
+#endif
 }
 #else
 void mbs_stages_matrix_multiply_rows(const mbs_stages_matrix *A, const mbs_stages_part *part, int width, int ld,

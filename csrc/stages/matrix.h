@@ -23,7 +23,8 @@ void mbs_stages_matrix_apply_both(const mbs_stages_matrix *A, const real *x, rea
 void mbs_stages_matrix_apply_symmetric(const mbs_stages_matrix *A, const real *x, real *y);
 
 /* Row j of Z = diagonal[j] times row j of V, plus A_lj times row l of V for the nonzeros of A's column j from begin[j] up to
- * end[j]; j and l count from `first` on. Rows of `width` numbers begin `ld` apart. */
+ * end[j]; j and l count from `first` on. Rows of `width` numbers begin `ld` apart; they
+ * have room for whole lines, and what fills them up may change. */
 typedef struct {
     int first, count;
     const int *begin, *end;

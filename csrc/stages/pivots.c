@@ -523,14 +523,15 @@ void mbs_stages_solve_together_transposed(const mbs_stages_pivots *p, const mbs_
                 to[c] = sum[c];                                                                                       \
         }                                                                                                             \
     }
-SOLVE_ROWS(solve_lanes, lanes, 1)
 #if MBS_STAGES_WIDE
 SOLVE_ROWS(solve_wide_4, wide, 4)
+SOLVE_ROWS(solve_wide_3, wide, 3)
 SOLVE_ROWS(solve_wide_2, wide, 2)
 SOLVE_ROWS(solve_wide_1, wide, 1)
 #else
 SOLVE_ROWS(solve_lanes_4, lanes, 4)
 SOLVE_ROWS(solve_lanes_2, lanes, 2)
+SOLVE_ROWS(solve_lanes, lanes, 1)
 #endif
 
 void mbs_stages_solve_rows(const mbs_stages_pivots *p, const mbs_stages_factors *f, int lane, int width, int ld, real *R,
@@ -539,20 +540,22 @@ void mbs_stages_solve_rows(const mbs_stages_pivots *p, const mbs_stages_factors 
     const size_t at = (size_t)lane, w = (size_t)ld;
     int c = 0;
 #if MBS_STAGES_WIDE
-    for (; c + 4 * MBS_STAGES_LINE <= width; c += 4 * MBS_STAGES_LINE)
+    for (; c + 3 * MBS_STAGES_LINE < width; c += 4 * MBS_STAGES_LINE)
         solve_wide_4(p, f, at, w, R + c, X + c);
-    for (; c + 2 * MBS_STAGES_LINE <= width; c += 2 * MBS_STAGES_LINE)
+    if (c + 2 * MBS_STAGES_LINE < width)
+        solve_wide_3(p, f, at, w, R + c, X + c);
+    else if (c + MBS_STAGES_LINE < width)
         solve_wide_2(p, f, at, w, R + c, X + c);
-    for (; c + MBS_STAGES_LINE <= width; c += MBS_STAGES_LINE)
+    else if (c < width)
         solve_wide_1(p, f, at, w, R + c, X + c);
 #else
     for (; c + 4 * MBS_STAGES_LANES <= width; c += 4 * MBS_STAGES_LANES)
         solve_lanes_4(p, f, at, w, R + c, X + c);
     for (; c + 2 * MBS_STAGES_LANES <= width; c += 2 * MBS_STAGES_LANES)
         solve_lanes_2(p, f, at, w, R + c, X + c);
-#endif
     for (; c < width; c += MBS_STAGES_LANES)
         solve_lanes(p, f, at, w, R + c, X + c);
+#endif
 }
 #else
 void mbs_stages_solve_rows(const mbs_stages_pivots *p, const mbs_stages_factors *f, int lane, int width, int ld, real *R,

@@ -114,9 +114,9 @@ static void symmetric_ones(int n, int is_sparse)
 /* Rows of V times the first rows of a symmetric matrix, from the diagonal on, and another diagonal. */
 static void rows_of(int n, int width)
 {
-    enum { WIDEST = 76 };
+    enum { WIDEST = 80 };
     const mbs_stages_matrix A = make(n, n, 1, 1);
-    const int first = n > 2, count = n - first, ld = width + 4;
+    const int first = n > 2, count = n - first, ld = mbs_stages_lines(width) + 4;
     static real V[MOST * (WIDEST + 4)], Z[MOST * (WIDEST + 4)];
     int from[MOST], to[MOST], i, j, c;
     real diagonal[MOST];
@@ -131,7 +131,7 @@ static void rows_of(int n, int width)
     part.first = first, part.count = count, part.begin = from, part.end = to, part.diagonal = diagonal;
     mbs_stages_matrix_multiply_rows(&A, &part, width, ld, V, Z);
     for (j = 0; j < count; ++j)
-        for (c = 0; c < ld; ++c) {
+        for (c = 0; c < ld; c = c + 1 == width ? mbs_stages_lines(width) : c + 1) {
             real sum = c < width ? diagonal[j] * V[j * ld + c] : 99;
             for (i = j + 1; i < count && c < width; ++i)
                 sum += full[(first + i) * MOST + first + j] * V[i * ld + c];
