@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import ast
 import importlib.util
+import inspect
 import itertools
 import keyword
 import math
 import random
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -22,12 +25,14 @@ import sympy
 from mbsgen.model.reader import read_model
 from mbsgen.model.tree import Kind
 from mbsgen.pipeline import build_parametric, read_tree, write_families
+from mbsgen.procedure import elimination
 from mbsgen.request import Request
 from mbsgen.tape.builder import Builder
 from mbsgen.tape.interpreter import DIGITS, FLOATS, evaluate, find_failure
 from mbsgen.tape.types import FUNCTIONS, Op, Tape
 from mbsgen.targets.contract import Family
 from mbsgen.targets.python.module import write_python
+from mbsgen.targets.python.stages import list_functions
 from mbsgen.targets.unit import Unit
 from tests.mbsgen.targets.every_function import functions_tape
 from tests.sample import PARAMETERS, sample_families
@@ -271,3 +276,14 @@ def test_labels_that_mean_something_to_python_name_no_variable(label: str, tmp_p
     b.output_dense("f", [[root * root * x[1]]])
     kernels = load([Family(b.build("impl"))], tmp_path)
     assert kernels.impl([4.0, 3.0]) == {"f": [12.0]}
+
+
+def test_modules_have_the_functions_of_linear_systems_and_no_others() -> None:
+    """All of the module that solves them here, under separate names."""
+    text = list_functions()
+    own = [x.name for x in ast.parse(inspect.getsource(elimination)).body if isinstance(x, ast.FunctionDef)]
+    named = {name: name if name.startswith("_") else f"_{name}" for name in own}
+    assert [x.name for x in ast.parse(text).body if isinstance(x, ast.FunctionDef)] == [*named.values()]
+    for name in own:
+        if not name.startswith("_"):
+            assert not re.search(rf"(?<!\w){name}\(", text)

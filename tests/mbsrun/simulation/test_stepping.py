@@ -296,6 +296,8 @@ def test_a_clutch_lets_a_joint_move_one_way(make: Make) -> None:
     for force, speed in ((3.0, 0.0), (-3.0, -1.5)):
         motion = simulate(cart, hold([force]), [0.0], [0.0], Settings(1.0, "moreau", step=1e-2))
         assert motion.qd[-1] == pytest.approx(speed, abs=1e-13)
+    caught = simulate(cart, hold([0.0]), [0.0], [1.0], Settings(0.1, "moreau", step=1e-2))  # it does not throw back
+    assert np.abs(caught.qd[1:]).max() < 1e-13
 
 
 def test_what_does_not_fit_is_refused(make: Make, tmp_path: Path) -> None:
