@@ -27,6 +27,7 @@ from mbsgen.subjects.segments import TABLES
 from mbsrun.cli import cli
 from mbsrun.subjects import Fitted, fit_subject
 from tests import opensim
+from tests.mbsgen.importing.osim_muscle_files import shape
 from tests.mbsrun.subject_files import (
     FACTORS,
     MARKERS,
@@ -122,6 +123,66 @@ def test_scaled_models_equal_those_of_opensim(tmp_path: Path, mass: float, keep:
     ask(tmp_path, {"ours": "ours_printed", "stretched": "theirs"})
     assert compare(tmp_path / "ours_printed.osim", tmp_path / "theirs.osim", without="inertia") < ROUNDED
     assert compare(tmp_path / "ours_printed.osim", tmp_path / "theirs.osim") < (1e-5 if is_rounded else ROUNDED)
+
+
+def test_wrapping_surfaces_are_stretched_as_in_opensim(tmp_path: Path) -> None:
+    """Ellipsoids, tori, cylinders and spheres that are turned on a body with three different factors."""
+    shapes = shape("WrapEllipsoid", "egg", "0.01 -0.2 0.02", "0.3 0.2 0.1", dimensions="0.03 0.04 0.05")
+    shapes += shape("WrapTorus", "ring", "0.02 -0.1 0.03", "1.5 0.1 0.2", inner_radius="0.02", outer_radius="0.06")
+    shapes += shape("WrapCylinder", "roll", "0 -0.3 0.01", "0.4 0 0.2", radius="0.03", length="0.1")
+    shapes += shape("WrapSphere", "ball", "0.03 -0.3 0.01", "0.4 0.5 0.2", radius="0.04")
+    write_trial(tmp_path)
+    path, body = tmp_path / "leg.osim", '<Body name="femur">'
+    text = path.read_text("utf-8")
+    assert text.count(body) == 1
+    path.write_text(
+        text.replace(body, f"{body}<WrapObjectSet><objects>{shapes}</objects></WrapObjectSet>"), encoding="utf-8"
+    )
+    setup = SETUP.format(
+        mass=-1.0, order="manualScale", measurements="", factors=write_factors(), keep="true", places="false", tasks="",
+    )  # fmt: skip
+    (tmp_path / "setup.xml").write_text(setup, encoding="utf-8")
+    (tmp_path / "ours.osim").write_text(fit_subject(tmp_path / "setup.xml").scaled.text, encoding="utf-8")
+    ask(tmp_path, {"ours": "ours_printed", "stretched": "theirs"})
+    assert compare(tmp_path / "ours_printed.osim", tmp_path / "theirs.osim") < ROUNDED
+    sizes = dict(list_numbers(read_markup(tmp_path / "theirs.osim")))
+    radius = next(x for name, x in sizes.items() if name.endswith("WrapSphere[ball]/radius"))
+    assert radius == pytest.approx([0.04 * (1.2 + 1.05 + 0.95) / 3], rel=1e-12)
+
+
+WRAPS = """
+name: wraps
+gravity: [0, 0, 0]
+bodies: [{name: thigh, joint: {type: free}, mass: 1, inertia: [0.1, 0.1, 0.1]}]
+forces:
+  - name: line
+    type: spring
+    from: {body: base, position: [0.3, 0, 0]}
+    to: {body: thigh, position: [-0.3, 0, 0]}
+    stiffness: 1
+    rest: 0.1
+    wraps:
+      - {type: WRAP, body: thigh, position: [0.1, 0.2, 0.3], orientation: {rpy: [pi/2, 0, 0]}}
+"""
+
+
+@pytest.mark.parametrize(
+    ("shape", "sizes"),
+    [
+        ("ellipsoid, radii: [0.1, 0.2, 0.3]", (0.1 * 1.2, 0.2 * 0.8, 0.3 * 1.1)),
+        ("torus, radius: 0.2, tube: 0.05", (0.2 * 1.0, 0.05 * 1.0)),
+        ("cylinder, radius: 0.2", (0.2 * 1.0,)),
+        ("sphere, radius: 0.2", (0.2 * 3.1 / 3,)),
+    ],
+)
+def test_wraps_of_a_model_file_are_stretched(shape: str, sizes: tuple[float, ...], tmp_path: Path) -> None:
+    """A quarter turn about x: y of the surface is z of its body, whose factors are 1.2, 1.1 and 0.8."""
+    path = tmp_path / "wraps.yaml"
+    path.write_text(WRAPS.replace("WRAP", shape), encoding="utf-8")
+    scaled = scale_model(read_model(path), {"thigh": (1.2, 1.1, 0.8)}, Masses())
+    (wrap,) = next(x for x in scaled.forces if x.name == "line").wraps
+    assert [evaluate(x, {}, FLOATS) for x in wrap.size] == pytest.approx(sizes, rel=1e-12)
+    assert [evaluate(x, {}, FLOATS) for x in wrap.placement.position] == pytest.approx([0.12, 0.22, 0.24], rel=1e-12)
 
 
 def ask(folder: Path, printed: dict[str, str]) -> None:

@@ -264,7 +264,7 @@ class _Scaling:
         for k, angle in enumerate(() if turns is None or not turns.text else _numbers(turns)):
             R = R @ turn(np.eye(3)[k], angle)
         along = np.linalg.norm(np.array(self._of(body))[:, None] * R, axis=0)  # of x, y, z of the surface
-        round_, all_ = float(along[:2].mean()), float(along.mean())
+        round_, all_ = float(along[:2].mean()), float(np.mean(self._of(body)))
         own: Mapping[str, Mapping[str, float]] = {
             "WrapCylinder": {"radius": round_, "length": float(along[2])},
             "WrapSphere": {"radius": all_},

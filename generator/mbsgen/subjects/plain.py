@@ -193,7 +193,8 @@ def _scale_line(line: ForceElement, factors: Mapping[str, Triple], values: Mappi
 
 def _scale_wrap(wrap: Wrap, factors: Triple, values: Mapping[str, float]) -> Wrap:
     along = np.linalg.norm(np.array(factors)[:, None] * _rotate(wrap.placement, values), axis=0)
-    around = along if wrap.kind == "ellipsoid" else [along[:2].mean() if wrap.axial else along.mean()] * len(wrap.size)
+    mean = float(along[:2].mean() if wrap.axial else np.mean(factors))
+    around = along.tolist() if wrap.kind == "ellipsoid" else [mean] * len(wrap.size)
     length = None if wrap.length is None else _times(wrap.length, float(along[2]))
     size = tuple(_times(x, float(factor)) for x, factor in zip(wrap.size, around, strict=True))
     return replace(wrap, placement=_move(wrap.placement, factors), size=size, length=length)

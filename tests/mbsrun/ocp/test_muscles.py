@@ -97,6 +97,11 @@ FAULTS = {
     ),
     "muscles": ("hanging.yaml", "sliding_mass.yaml", "the model has no muscles; give it some, with type: muscle"),
     "key": ("rise: 0.015", "rises: 0.015", "rises"),
+    "own": (
+        "fall: 0.06",
+        "fall: 0.06, own: {mussle: {rise: 0.1, fall: 0.2}}",
+        'there is no muscle "mussle"; did you mean "muscle"?',
+    ),
 }
 
 
