@@ -253,7 +253,7 @@ class OptimalControl(Numbered):
             found = read_one(outcome)
             return Unsolved(found) if isinstance(found, Failure) else Solved(found, self.plant)
 
-        return Family(self.name, self.data, Plants((self.plant,)), self._restate, state, read)
+        return Family(self.name, self.data, Plants((self.plant,)), self._restate, state, read, self.programs)
 
     def search(
         self,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property, partial
 from typing import Any
 
@@ -18,7 +18,7 @@ from mbsrun.ocp.cases.cases import AnyCase, Case, Form, Found, LateCase, Outcome
 from mbsrun.ocp.cases.layers import Place, find_starts
 from mbsrun.ocp.cases.neighbours import solve_neighbours
 from mbsrun.ocp.cases.placing import KEYS, choose_stated, find_special, is_plain, list_limits
-from mbsrun.ocp.cases.programs import identify
+from mbsrun.ocp.cases.programs import Programs, identify
 from mbsrun.ocp.problem.phases import Plants
 from mbsrun.ocp.solution.solution import Run
 from mbsrun.ocp.solving.nearby import Late
@@ -263,6 +263,7 @@ class Family:
     restate: Callable[[Mapping[str, Data]], Any]  # data -> a problem in Python. Raises ProblemError
     state: Callable[[Any, Any, bool], Case]  # a problem, a guess or None, whether it is checked -> a case
     read: Callable[[AnyCase, Outcome], Any]  # an outcome as `solve` returns it
+    programs: Programs = field(default_factory=Programs)  # that were made before
 
     def list_cases(self, cases: Sequence[Values], guesses: Sequence[Any] | None = None, *, check: bool) -> list[Case]:
         """Return the case of each mapping of values. Raises ProblemError with the faults of the first."""
@@ -348,15 +349,22 @@ def solve_family(family: Family, over: Over, guesses: Sequence[Any] | None, way:
     found = dict[int, Any]()
     if way.neighbours:
         cases = family.list_near_cases(values, check=way.check)
-        outcomes: Iterator[tuple[int, Found]] = solve_neighbours(
-            cases, find_starts(list_places(values, cases)), family.plants, way.threads
-        )
     else:
         cases = [*family.list_cases(values, guesses, check=way.check)]
-        outcomes = solve_cases(cases, family.plants, way.threads)
-    for k, outcome in outcomes:
-        read = partial(family.read, cases[k])
-        found[k] = Deferred(outcome, read) if isinstance(outcome, Late) else read(outcome)
-        if watch is not None:
-            watch(k, _open(found[k]))
+    with family.programs.lend() as programs:
+        for k, outcome in _solve(family, values, cases, way, programs):
+            read = partial(family.read, cases[k])
+            found[k] = Deferred(outcome, read) if isinstance(outcome, Late) else read(outcome)
+            if watch is not None:
+                watch(k, _open(found[k]))
     return SolvedMany(values, tuple(found[k] for k in range(len(cases))))
+
+
+def _solve(
+    family: Family, values: Sequence[Values], cases: Sequence[AnyCase], way: Way, programs: Programs
+) -> Iterator[tuple[int, Found]]:
+    """Solve cases; yield the number and the outcome of each as it ends."""
+    if not way.neighbours:
+        return solve_cases(cases, family.plants, way.threads, programs)
+    starts = find_starts(list_places(values, cases))
+    return solve_neighbours(cases, starts, family.plants, way.threads, programs)

@@ -325,7 +325,7 @@ class PhasedControl(Numbered):
                 return Unsolved(outcome)
             return SolvedPhases(outcome, equip_phases(case.problem, self.plants))
 
-        return Family(self.name, self.data, self.plants, self._restate, state, read)
+        return Family(self.name, self.data, self.plants, self._restate, state, read, self.programs)
 
     def continue_to(
         self, name: str, value: float, *, guess: PhasedGuess | None = None, watch: Callable[[Stop], None] | None = None

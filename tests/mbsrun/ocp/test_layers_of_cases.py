@@ -245,7 +245,7 @@ class Solves:
 def solve_all(x: np.ndarray, share: float | None, monkeypatch: pytest.MonkeyPatch, threads: int = 1) -> Solves:
     """Solve a case at each place, and return what was tried."""
     solver = Solves(share)
-    monkeypatch.setattr(neighbours, "CaseSolver", lambda _: solver)
+    monkeypatch.setattr(neighbours, "CaseSolver", lambda *_: solver)
     starts, given = find_starts(place(x)), cast("Any", [tuple(row) for row in x.tolist()])
     assert sorted(k for k, _ in solve_neighbours(given, starts, cast("Any", None), threads)) == list(range(len(x)))
     return solver

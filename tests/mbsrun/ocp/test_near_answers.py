@@ -203,6 +203,7 @@ def read(
 
     monkeypatch.setattr(nearby, "StackedProgram", Stacked)
     monkeypatch.setattr(nearby, "NumpyProgram", Program)
+    monkeypatch.setattr(nearby, "_FUNCTIONS", SimpleNamespace(find=lambda *_: {}))
     monkeypatch.setattr(nearby, "_JUDGES", SimpleNamespace(find=lambda *_: SimpleNamespace(judge=judge)))
     monkeypatch.setattr(nearby, "_make_run", lambda *_: Ran())
     solver: Any = SimpleNamespace(
@@ -316,3 +317,19 @@ def test_stacks_are_made_once_for_methods_that_solve_many(monkeypatch: pytest.Mo
     chosen[0] = SolverOptions(method="mbs", options=(("a", 1),))
     assert make() == "stack 3"
     assert made[-1] == (SolverOptions.tolerance, {"a": 1}, 1)
+
+
+def test_functions_of_two_numbers_of_points_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The oldest ones go where a third number comes."""
+
+    class Prepared:
+        pass
+
+    monkeypatch.setattr(nearby, "StackedProgram", lambda *given: [given])
+    program: Any = Prepared()
+    first, second = nearby._bind_functions(program, 18), nearby._bind_functions(program, 3)
+    assert first == [(program, 18)]
+    assert nearby._bind_functions(program, 18) is first
+    assert nearby._bind_functions(program, 5) == [(program, 5)]
+    assert nearby._bind_functions(program, 3) is second
+    assert nearby._bind_functions(program, 18) is not first

@@ -67,8 +67,10 @@ def test_neither_order_nor_company_matters(swing: OptimalControl, alone: list[So
     assert [one.defect for one in found] == [None] * 3
 
 
-def test_one_program_serves_all_cases(swing: OptimalControl, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_one_program_serves_all_cases(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It serves later calls, too; who solves meanwhile gets another one."""
     made: list[object] = []
+    swing = mbsrun.problem(MODELS / "cart_pole.yaml", **KEYS)
     begin = PhasedSolver.__init__
 
     def count(self: PhasedSolver, *given: Any, **named: Any) -> None:
@@ -78,6 +80,13 @@ def test_one_program_serves_all_cases(swing: OptimalControl, monkeypatch: pytest
     monkeypatch.setattr(PhasedSolver, "__init__", count)
     swing.solve_many({"end.pose.cart": [0.9, 1.1], "bounds.inputs": [[-15, 15], [-25, 25]]}, check=False)
     assert len(made) == 1
+    swing.solve_many({"end.pose.cart": [0.9]}, check=False)
+    assert len(made) == 1
+    with swing.programs.lend() as own, swing.programs.lend() as other:
+        assert own is swing.programs
+        assert other is not own
+    with swing.programs.lend() as own:
+        assert own is swing.programs
 
 
 def test_c_calls_no_python_unless_somebody_watches(swing: OptimalControl, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -207,13 +207,16 @@ class CaseSolver:
         return refine_phases(found, plants) if asks else found
 
 
-def solve_cases(cases: Sequence[AnyCase], plants: Plants, threads: int) -> Iterator[tuple[int, Outcome]]:
+def solve_cases(
+    cases: Sequence[AnyCase], plants: Plants, threads: int, programs: Programs | None = None
+) -> Iterator[tuple[int, Outcome]]:
     """Solve cases, several at a time; yield the number and the outcome of each as it ends.
 
-    Each thread makes its own programs. Cases that have not begun are dropped where the caller ends the iteration.
+    One thread may have programs that were made before; each of several makes new ones. Cases that have not begun are
+    dropped where the caller ends the iteration.
     """
     if threads == 1:
-        solver = CaseSolver(plants)
+        solver = CaseSolver(plants, programs or Programs())
         yield from ((i, solver.solve(case)) for i, case in enumerate(cases))
         return
     own = threading.local()

@@ -25,12 +25,13 @@ from scipy import sparse
 
 from mbsrun.ocp.cases.cases import AnyCase, CaseSolver, Found, Outcome, Try, read
 from mbsrun.ocp.cases.layers import Source, Start, weigh
+from mbsrun.ocp.cases.programs import Programs
 from mbsrun.ocp.methods import Near, mix_many
 from mbsrun.ocp.problem.phases import Plants
 from mbsrun.ocp.solving.phases import Neighbour
 
 PART = 1.0  # of the iterations of a solve from a guess, the most that a case tries from its neighbours
-FEWEST = 6  # iterations that it tries
+FEWEST = 10  # iterations that it tries
 BLOCK = 64  # cases that are solved at once, at most
 SECONDS = 2.0  # for these, of which nobody hears before all have ended
 ENOUGH = 0.75  # of these iterations, the most that a case expects where it tries
@@ -177,10 +178,14 @@ def _solve_anew(solver: CaseSolver, case: AnyCase, start: Start, origin: Origin 
 
 
 def solve_neighbours(
-    cases: Sequence[AnyCase], starts: Sequence[Start], plants: Plants, threads: int
+    cases: Sequence[AnyCase],
+    starts: Sequence[Start],
+    plants: Plants,
+    threads: int,
+    programs: Programs | None = None,
 ) -> Iterator[tuple[int, Found]]:
     """Solve cases in layers; yield the number and the outcome of each as it ends, see `solve_cases`."""
-    own, solver = threading.local(), CaseSolver(plants)
+    own, solver = threading.local(), CaseSolver(plants, programs or Programs())
 
     def begin() -> None:
         own.solver = CaseSolver(plants) if threads > 1 else solver

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import threading
 from collections import OrderedDict
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 from mbsrun.ocp.problem.phases import Link, PhasedProblem, Plants
 from mbsrun.ocp.problem.structure import Structure, structure
@@ -16,6 +19,17 @@ class Programs:
 
     def __init__(self) -> None:
         self._solvers: OrderedDict[tuple[tuple[Structure, ...], tuple[Link, ...]], PhasedSolver] = OrderedDict()
+        self._lent = threading.Lock()
+
+    @contextmanager
+    def lend(self) -> Iterator[Programs]:
+        """Lend the programs to one user at a time, for solves of many cases; who comes meanwhile gets new ones."""
+        is_free = self._lent.acquire(blocking=False)
+        try:
+            yield self if is_free else Programs()
+        finally:
+            if is_free:
+                self._lent.release()
 
     def look(self, problem: PhasedProblem) -> PhasedSolver | None:
         """Return the solver of a structure, if it was made."""

@@ -16,6 +16,7 @@ import numpy as np
 from mbsrun.closure import find_closure
 from mbsrun.ocp import methods
 from mbsrun.ocp.evaluation.backends.numpy import NumpyProgram
+from mbsrun.ocp.evaluation.backends.prepared import Prepared
 from mbsrun.ocp.evaluation.backends.stacked import StackedProgram
 from mbsrun.ocp.ground.functions import Array
 from mbsrun.ocp.ground.memory import Memory
@@ -31,6 +32,7 @@ from mbsrun.ocp.solving.stacked import Limits, StackedJudge
 State = Callable[[], PhasedProblem]
 
 ROOM = 200_000  # numbers of Jacobians that are evaluated at once
+KEPT = 2  # numbers of points whose functions are kept
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,7 +169,7 @@ def _read_part(
     part: Sequence[int],
 ) -> Iterator[Late | None]:
     """Yield the answers of some cases; None where the judge of single points has to decide."""
-    functions = StackedProgram(solver.program, len(part))
+    functions = _bind_functions(solver.program, len(part))
     x, p = answer.x[part], stack.parameters[part]
     values = functions.evaluate(x, p)
     judge = _JUDGES.find(lambda: StackedJudge(functions.pattern), solver.program)
@@ -220,4 +222,15 @@ def _finish_alone(
     return None if found is None else NearAnswer(found, kept[-1] if kept else None)
 
 
+def _bind_functions(program: Prepared, count: int) -> StackedProgram:
+    """Return the functions of a program at a number of points; the ones of few numbers are kept."""
+    known = _FUNCTIONS.find(dict, program)
+    if count not in known:
+        if len(known) == KEPT:
+            known.pop(next(iter(known)))
+        known[count] = StackedProgram(program, count)
+    return known[count]
+
+
 _JUDGES: Memory[StackedJudge] = Memory()
+_FUNCTIONS: Memory[dict[int, StackedProgram]] = Memory()
