@@ -170,7 +170,7 @@ class _Drawing:
             np.array(stages),
             parameters=nothing if function.parameters is None else rng.permutation(function.parameters.size),
             data=rng.uniform(0.5, 1.5, (data, places)) if data else None,
-            scale=rng.uniform(0.5, 2.0, places) if rng.random() < 0.5 else float(rng.uniform(0.5, 2.0)),
+            scale=rng.uniform(0.5, 2.0, places) if rng.random() < 0.5 else float(rng.choice([1.0, 1.0, 0.75])),
             factor=int(self.common[0]) if self.common.size and rng.random() < 0.4 else None,
         )
         (self.costs if is_cost else self.blocks).append(made)
