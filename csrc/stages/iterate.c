@@ -115,14 +115,23 @@ static int find_step(mbs_stages *s, mbs_stages_phase *p)
     return 0;
 }
 
-/* No step: restore feasibility, or end. */
+/* Begin a warm start anew, farther from bounds; a status, which is `status` where it needs that no more. */
+static int begin_anew(mbs_stages *s, mbs_stages_phase *p, int status)
+{
+    const int begun = s->farther > 0 ? mbs_stages_start_farther(s, p) : 0;
+    return begun > 0 ? MBS_STAGES_RUNNING : begun < 0 ? MBS_STAGES_CALLBACK_FAILED : status;
+}
+
+/* No step: restore feasibility, or end. A warm start may be too near to bounds for any step. */
 static int leave(mbs_stages *s, mbs_stages_phase *p)
 {
+    int status;
     if (p->failing)
         return MBS_STAGES_CALLBACK_FAILED;
     if (p->elastic)
         return MBS_STAGES_OUT_OF_DIGITS;
-    return mbs_stages_restore(s);
+    status = mbs_stages_restore(s);
+    return status == MBS_STAGES_OUT_OF_DIGITS ? begin_anew(s, p, status) : status;
 }
 
 static int search(mbs_stages *s, mbs_stages_phase *p)
@@ -140,6 +149,7 @@ static int is_far(const mbs_stages *s, const mbs_stages_phase *p, int failed)
 
 static int advance(mbs_stages *s, mbs_stages_phase *p)
 {
+    const int begins = s->result.iterations == 0 && !p->elastic;
     int failed;
     if (lower_barrier(s, p))
         return MBS_STAGES_OUT_OF_DIGITS;
@@ -148,12 +158,11 @@ static int advance(mbs_stages *s, mbs_stages_phase *p)
     p->theta = mbs_stages_sum(s->rows, p->c);
     p->phi = mbs_stages_barrier(s, p, p->x, p->cost);
     failed = find_step(s, p);
-    if (s->farther > 0 && is_far(s, p, failed)) {
-        const int begun = mbs_stages_start_farther(s, p);
-        if (begun)
-            return begun > 0 ? MBS_STAGES_RUNNING : MBS_STAGES_CALLBACK_FAILED;
+    if (begins && s->farther > 0 && is_far(s, p, failed)) {
+        const int begun = begin_anew(s, p, MBS_STAGES_SOLVED);
+        if (begun != MBS_STAGES_SOLVED)
+            return begun;
     }
-    s->farther = 0;
     if (failed ? mbs_stages_search_without_step(s, p) : search(s, p)) {
         const int status = leave(s, p);
         if (status != MBS_STAGES_RUNNING)

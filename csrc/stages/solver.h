@@ -122,7 +122,7 @@ struct mbs_stages {
     double began;
     int failed_stage;
     int has_scales; /* of the last solve */
-    real farther;   /* the barrier parameter of a warm start whose first step is short; 0 after the first step */
+    real farther;   /* the barrier parameter of a warm start whose first step is short, or that finds none; then 0 */
     int has_units;  /* some variables have a scale other than 1 */
     char *failed; /* stages whose callback gave no result */
     real *costs;  /* of stages, unscaled */

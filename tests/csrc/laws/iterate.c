@@ -427,11 +427,21 @@ static void warming(void)
     given.farther = -1;
     LAW("it may have no values", advance(s, p) == MBS_STAGES_CALLBACK_FAILED);
     given.farther = 0;
-    LAW("or need none", advance(s, p) == MBS_STAGES_RUNNING && given.searches == 1 && s->farther == 0);
+    LAW("or need none", advance(s, p) == MBS_STAGES_RUNNING && given.searches == 1);
     given.farther = 1;
     LAW("later steps may be short", advance(s, p) == MBS_STAGES_RUNNING && given.searches == 2);
-    s->farther = 1e-3, given.boundary = 1;
-    LAW("a long first step goes on", advance(s, p) == MBS_STAGES_RUNNING && given.searches == 3 && s->farther == 0);
+    s->result.iterations = 0, given.boundary = 1;
+    LAW("a long first step goes on", advance(s, p) == MBS_STAGES_RUNNING && given.searches == 3);
+    given.searched = given.soft = -1, given.restored = MBS_STAGES_OUT_OF_DIGITS;
+    LAW("a warm start without a step begins anew", advance(s, p) == MBS_STAGES_RUNNING && s->result.iterations == 2);
+    given.farther = -1;
+    LAW("where it has values", advance(s, p) == MBS_STAGES_CALLBACK_FAILED);
+    given.farther = 0;
+    LAW("else it ends", advance(s, p) == MBS_STAGES_OUT_OF_DIGITS);
+    given.farther = 1, given.restored = MBS_STAGES_INFEASIBLE;
+    LAW("rows that clash end it, too", advance(s, p) == MBS_STAGES_INFEASIBLE);
+    given.restored = MBS_STAGES_OUT_OF_DIGITS, s->farther = 0;
+    LAW("and so does no step of a cold start", advance(s, p) == MBS_STAGES_OUT_OF_DIGITS);
 }
 
 static void running(void)
