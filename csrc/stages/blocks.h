@@ -92,10 +92,10 @@ void mbs_stages_lower_transposed(int n, const real *L, int ldl, real *x);
  * up. Rows begin `ld` numbers apart. */
 int mbs_stages_width(int n);
 
-/* The same in lines, multiples of MBS_STAGES_LINE. */
-static inline int mbs_stages_lines(int n)
+/* Such a width in lines, multiples of MBS_STAGES_LINE. */
+static inline int mbs_stages_lines(int width)
 {
-    return MBS_STAGES_WIDE ? (n + MBS_STAGES_LINE - 1) / MBS_STAGES_LINE * MBS_STAGES_LINE : mbs_stages_width(n);
+    return MBS_STAGES_WIDE ? (width + MBS_STAGES_LINE - 1) / MBS_STAGES_LINE * MBS_STAGES_LINE : width;
 }
 
 real mbs_stages_dot(int width, const real *a, const real *b);

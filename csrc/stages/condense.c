@@ -235,7 +235,8 @@ static const real *lane_of(const mbs_stages_inner *y, const real *numbers, int t
     return numbers + (size_t)t * MBS_STAGES_TOGETHER + (size_t)y->lane;
 }
 
-/* S by the factors of the stage. */
+/* S by the factors of the stage; without vectors, row by row here, which takes less code. */
+#if MBS_STAGES_ROOMY
 static void solve_rows(const mbs_stages_scratch *m, const mbs_stages_stage *s)
 {
     const mbs_stages_inner *y = &s->inner;
@@ -245,6 +246,32 @@ static void solve_rows(const mbs_stages_scratch *m, const mbs_stages_stage *s)
     for (i = 0; i < y->n && y->skip > 0; ++i)
         memset(row_of_v(s, s->nx + i), 0, (size_t)y->skip * sizeof *y->V);
 }
+#else
+static void solve_rows(const mbs_stages_scratch *m, const mbs_stages_stage *s)
+{
+    const mbs_stages_inner *y = &s->inner;
+    const mbs_stages_pivots *p = y->pivots;
+    const mbs_stages_factors *f = &y->factors;
+    const int ld = y->ld, width = ld - y->skip;
+    real *B = m->right + y->skip, *S = read_part_of_v(s, s->nx);
+    int i;
+    for (i = 0; i < y->n; ++i) {
+        real *row = B + (size_t)p->row[i] * (size_t)ld;
+        mbs_stages_combine(width, p->lower[i + 1] - p->lower[i], p->lower_row + p->lower[i], 0,
+                           lane_of(y, f->lower, p->lower[i]), MBS_STAGES_TOGETHER, B, ld, *lane_of(y, f->inverse, i),
+                           row, row);
+    }
+    for (i = y->n - 1; i >= 0; --i) {
+        real *to = S + (size_t)p->column[i] * (size_t)ld;
+        int j;
+        for (j = 0; j < y->skip; ++j)
+            to[j - y->skip] = 0;
+        mbs_stages_combine(width, p->upper[i + 1] - p->upper[i], p->upper_column + p->upper[i], 0,
+                           lane_of(y, f->upper, p->upper[i]), MBS_STAGES_TOGETHER, S, ld, 1,
+                           B + (size_t)p->row[i] * (size_t)ld, to);
+    }
+}
+#endif
 
 int mbs_stages_group(const mbs_stages_recursion *r, int k)
 {
@@ -423,6 +450,7 @@ static void add_outer_cost(const mbs_stages_recursion *r, const mbs_stages_scrat
 
 /* Rows of inner variables of (H + diagonal) V: from the diagonal on, and `share` of the diagonal; columns from `skip` on.
  * Works in spots and vector[5]. */
+#if MBS_STAGES_ROOMY
 static void find_rows(const mbs_stages_recursion *r, const mbs_stages_scratch *m, const mbs_stages_stage *s, real share,
                       real *Z)
 {
@@ -448,6 +476,24 @@ static void find_rows(const mbs_stages_recursion *r, const mbs_stages_scratch *m
         for (l = end[j]; l < H->end[s->nx + j]; ++l)
             Z[(size_t)j * (size_t)y->ld + (size_t)(H->row[l] - y->n - y->skip)] += H->value[l];
 }
+#else
+static void find_rows(const mbs_stages_recursion *r, const mbs_stages_scratch *m, const mbs_stages_stage *s, real share,
+                      real *Z)
+{
+    const mbs_stages_matrix *H = &s->H;
+    const int skip = s->inner.skip, ld = s->inner.ld, width = ld - skip;
+    int j, l;
+    (void)m;
+    for (j = s->nx; j < s->nx + s->inner.n; ++j, Z += ld) {
+        const column c = find_column(r, s, j);
+        mbs_stages_scale_row(width, share * c.diagonal, read_part_of_v(s, j), Z);
+        for (l = c.after; l < c.end; ++l)
+            Z[H->row[l] - s->inner.n - skip] += H->value[l];
+        mbs_stages_combine(width, c.after - c.inner, H->row + c.inner, s->nx, H->value + c.inner, 1, s->inner.V + skip, ld, 1,
+                           Z, Z);
+    }
+}
+#endif
 
 /* The lower triangle of VT (H + diagonal) V: of inner variables ST Z + ZT S, or ST Z where they share no curvature. */
 static void reduce_cost(const mbs_stages_recursion *r, const mbs_stages_scratch *m, mbs_stages_stage *s)

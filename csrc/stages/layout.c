@@ -282,8 +282,12 @@ static int is_curved(const mbs_stages_stage *t)
 
 static void lay_few(arena *a, mbs_stages_few *f, int rows)
 {
-    f->count = MBS_STAGES_LOOKS ? take(a, (size_t)rows, sizeof(int)) : NULL;
-    f->column = MBS_STAGES_LOOKS ? take(a, (size_t)rows * MBS_STAGES_FEW, sizeof(int)) : NULL;
+#if MBS_STAGES_LOOKS
+    f->count = take(a, (size_t)rows, sizeof(int));
+    f->column = take(a, (size_t)rows * MBS_STAGES_FEW, sizeof(int));
+#else
+    (void)a, (void)f, (void)rows;
+#endif
 }
 
 static void lay_inner(arena *a, mbs_stages *s, const mbs_stages_problem *problem, int k, int lane, mbs_stages_stage *t)

@@ -134,17 +134,6 @@ void mbs_stages_matrix_multiply_rows(const mbs_stages_matrix *A, const mbs_stage
         multiply_lanes(A, part, w, V + c, Z + c);
 #endif
 }
-#else
-void mbs_stages_matrix_multiply_rows(const mbs_stages_matrix *A, const mbs_stages_part *part, int width, int ld,
-                                     const real *V, real *Z)
-{
-    int j;
-    for (j = 0; j < part->count; ++j, Z += ld) {
-        const int begin = part->begin[j];
-        mbs_stages_scale_row(width, part->diagonal[j], V + (size_t)j * (size_t)ld, Z);
-        mbs_stages_combine(width, part->end[j] - begin, A->row + begin, part->first, A->value + begin, 1, V, ld, 1, Z, Z);
-    }
-}
 #endif
 
 void mbs_stages_matrix_scale(const mbs_stages_matrix *A, const real *row, const real *column)

@@ -30,8 +30,10 @@ typedef struct {
     const int *begin, *end;
     const real *diagonal;
 } mbs_stages_part;
+#if MBS_STAGES_ROOMY
 void mbs_stages_matrix_multiply_rows(const mbs_stages_matrix *A, const mbs_stages_part *part, int width, int ld,
                                      const real *V, real *Z);
+#endif
 
 /* Multiply row i by row[i], and column j by column[j]. */
 void mbs_stages_matrix_scale(const mbs_stages_matrix *A, const real *row, const real *column);

@@ -22,7 +22,7 @@ real mbs_stages_largest(int n, const real *c)
 {
     real most[4] = {0};
     int i, l;
-    for (i = 0; i + 4 <= n; i += 4)
+    for (i = 0; MBS_STAGES_ROOMY && i + 4 <= n; i += 4)
         for (l = 0; l < 4; ++l)
             most[l] = mbs_stages_larger(real_abs(c[i + l]), most[l]);
     for (; i < n; ++i)

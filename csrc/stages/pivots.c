@@ -252,11 +252,15 @@ int mbs_stages_choose_pivots(mbs_stages_pivots *p, const mbs_stages_matrix *A, r
         return -1;
     for (i = 0; i < r.n; ++i)
         r.size[i] = largest_in_row(&r, i);
+#if MBS_STAGES_ROOMY
     p->core = r.n;
+#endif
     while (r.done < r.n) {
         if (!full && is_nearly_full(&r)) {
             full = 1;
+#if MBS_STAGES_ROOMY
             p->core = r.done;
+#endif
             fill(&r);
         }
         if (!find_best(&r, full, &at_row, &at_column))
@@ -556,21 +560,5 @@ void mbs_stages_solve_rows(const mbs_stages_pivots *p, const mbs_stages_factors 
     for (; c < width; c += MBS_STAGES_LANES)
         solve_lanes(p, f, at, w, R + c, X + c);
 #endif
-}
-#else
-void mbs_stages_solve_rows(const mbs_stages_pivots *p, const mbs_stages_factors *f, int lane, int width, int ld, real *R,
-                           real *X)
-{
-    const int step = MBS_STAGES_TOGETHER;
-    int i;
-    for (i = 0; i < p->n; ++i) {
-        real *row = R + (size_t)p->row[i] * (size_t)ld;
-        mbs_stages_combine(width, p->lower[i + 1] - p->lower[i], p->lower_row + p->lower[i], 0,
-                           f->lower + p->lower[i] * step + lane, step, R, ld, f->inverse[i * step + lane], row, row);
-    }
-    for (i = p->n - 1; i >= 0; --i)
-        mbs_stages_combine(width, p->upper[i + 1] - p->upper[i], p->upper_column + p->upper[i], 0,
-                           f->upper + p->upper[i] * step + lane, step, X, ld, 1, R + (size_t)p->row[i] * (size_t)ld,
-                           X + (size_t)p->column[i] * (size_t)ld);
 }
 #endif

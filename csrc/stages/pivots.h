@@ -55,7 +55,9 @@ void mbs_stages_solve_together_transposed(const mbs_stages_pivots *p, const mbs_
 
 /* X = B^-1 R for one lane, of `width` numbers a row, which begin `ld` apart: R by rows of the block (overwritten), X by
  * columns. Rows have room for whole lines, and what fills them up may change. */
+#if MBS_STAGES_ROOMY
 void mbs_stages_solve_rows(const mbs_stages_pivots *p, const mbs_stages_factors *f, int lane, int width, int ld, real *R,
                            real *X);
+#endif
 
 #endif

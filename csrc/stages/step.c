@@ -202,11 +202,12 @@ static void substitute_pivots(mbs_stages_step *p, real *rr, real *half)
         p->Y[i] = 2 * half[i] - p->Y[i];
 }
 
+#if MBS_STAGES_ROOMY
 /* Take `count` rows of L from row `from` on out of `rows` rows from row `first` on; columns before the first row's
  * diagonal that are not of x stay or change, and become 0 later. */
 static void lower_rows(mbs_stages_step *p, int first, int rows, int from, int count)
 {
-    const int nx = mbs_stages_width(p->nx), at = p->nx + first, tiles = MBS_STAGES_ROOMY ? rows / 4 * 4 : 0;
+    const int nx = mbs_stages_width(p->nx), at = p->nx + first, tiles = rows / 4 * 4;
     const int begin = at / MBS_STAGES_LANES * MBS_STAGES_LANES > nx ? at / MBS_STAGES_LANES * MBS_STAGES_LANES : nx;
     const size_t width = (size_t)p->width;
     const real *L = p->L + (size_t)from * width;
@@ -225,10 +226,6 @@ static void lower_rows(mbs_stages_step *p, int first, int rows, int from, int co
 static void lower_row(mbs_stages_step *p, int i)
 {
     const int end = p->reduced - p->nx, large = i / LARGE_BLOCK * LARGE_BLOCK, small = i / SMALL_BLOCK * SMALL_BLOCK;
-    if (!MBS_STAGES_ROOMY) {
-        lower_rows(p, i, 1, 0, i);
-        return;
-    }
     if (i == large && i > 0)
         lower_rows(p, i, end - i < LARGE_BLOCK ? end - i : LARGE_BLOCK, 0, i);
     if (i == small && i > large)
@@ -236,6 +233,12 @@ static void lower_row(mbs_stages_step *p, int i)
     if (i > small)
         lower_rows(p, i, 1, small, i - small);
 }
+#else
+static void lower_row(mbs_stages_step *p, int i)
+{
+    mbs_stages_add_rows(p->width, i, -1, p->L + p->nx + i, p->width, p->L, p->width, p->L + (size_t)i * (size_t)p->width);
+}
+#endif
 
 /* Factorise the free variables: rows (K LT), with the inverse of L's diagonal, and 0 before it. Where a pivot is too small,
  * `lost` notes whether that may be rounding. */

@@ -81,7 +81,8 @@ def test_peers_compute_our_panda(module: str, prepare: Prepare, dtype: str) -> N
     work = prepare("impl", q, qd, last)
     work.start()
     work.finish()
-    expected = load(PANDA, extent=Extent(("impl",), 0)).impl(q=q, qd=qd, qdd=last, u=0 * q)["Phi"]
+    exact = {name: x.astype(float) for name, x in {"q": q, "qd": qd, "qdd": last}.items()}
+    expected = load(PANDA, extent=Extent(("impl",), 0)).impl(**exact, u=0 * exact["q"])["Phi"]
     np.testing.assert_allclose(work.read(), expected, rtol=0, atol=100 * np.finfo(dtype).eps * np.abs(expected).max())
 
 
