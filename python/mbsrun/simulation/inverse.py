@@ -35,6 +35,8 @@ Array = NDArray[np.float64]
 PREDICTING = 3  # poses that the next one is extrapolated from
 LEAST, ROUNDED = 3, 1e-9  # rows that show a jump; a jump that counts [rad, m]
 OFF = 0.5  # the largest distance of a closed pose from its prediction, relative to the step
+ABREAST = 1000  # times that are computed at once
+ROUNDINGS = 64  # of a residual, in a difference of two
 JUMP = 0.25  # of a step, relative to its time and the speed: what the mean of both velocities leaves
 
 Report = Callable[[int, int], None]  # takes the number of finished times, and of all
@@ -152,15 +154,16 @@ def balance(
 
     Generalised forces `taken` (K, n) are part of the model, and are taken out of it.
     """
-    dynamics = Dynamics(kernels, Formulation.IMPL, stand(np.zeros(len(kernels.manifest.driven))))
-    jacobians = Closure(kernels).jacobian(q) if kernels.manifest.loops else np.zeros((len(q), 0, qd.shape[1]))
-    steps = []
+    manifest = kernels.manifest
+    dynamics = Dynamics(kernels, Formulation.IMPL, stand(np.zeros(len(manifest.driven))))
     others = np.zeros_like(qd) if taken is None else taken
-    for k, state in enumerate(zip(q, qd, qdd, w, jacobians, others, strict=True), 1):
-        steps.append(_balance(dynamics, *state))
+    parts = []
+    for first in range(0, len(q), ABREAST):
+        some = slice(first, first + ABREAST)
+        parts.append(_balance_some(dynamics, q[some], qd[some], qdd[some], w[some], others[some]))
         if report is not None:
-            report(k, len(q))
-    u, tau, lam, rest, spare = (np.array(x) for x in zip(*steps, strict=True))
+            report(min(first + ABREAST, len(q)), len(q))
+    u, tau, lam, rest, spare = (np.concatenate(x) for x in zip(*parts, strict=True))
     return Forces(times, q, qd, qdd, u, tau, lam, rest, int(spare.max()), w)
 
 
@@ -208,23 +211,48 @@ def _close_near(closure: Closure, ahead: Array, before: Array, places: Sequence[
     return found if closure.is_closed(found) and np.abs(found - expected).max() <= OFF * step else None
 
 
-def _balance(
-    dynamics: Dynamics, q: Array, qd: Array, qdd: Array, w: Array, J: Array, taken: Array
-) -> tuple[Array, Array, Array, Array, int]:
-    """Return u, tau, lam, the generalised forces that are missing, and how many forces are spare."""
-    manifest, forces = dynamics.kernels.manifest, dynamics.forces_count
-    v, lam = np.concatenate((np.zeros(forces), w))[None], np.zeros((1, len(J)))
-    state = q[None], qd[None], qdd[None]
-    Phi = dynamics.residual(*state, v, lam)[0] + taken
-    S = np.zeros((len(qd), 0)) if not forces else -dynamics.input_slopes(*state, v, lam)[0][:, :forces]
-    D = np.eye(len(qd))[:, list(manifest.driven)]
-    Z, sides = null_space(J, rcond=RANK) if len(J) else np.eye(len(qd)), np.hstack((S, D))
+def _balance_some(
+    dynamics: Dynamics, q: Array, qd: Array, qdd: Array, w: Array, taken: Array
+) -> tuple[Array, Array, Array, Array, Array]:
+    """Return u, tau, lam, the generalised forces that are missing, and how many forces are spare, of some times."""
+    manifest, forces, (K, n) = dynamics.kernels.manifest, dynamics.forces_count, qd.shape
+    v, lam = np.hstack((np.zeros((K, forces)), w)), np.zeros((K, len(manifest.owners)))
+    bare = dynamics.residual(q, qd, qdd, v, lam)
+    S = -dynamics.input_slopes(q, qd, qdd, v, lam)[:, :, :forces] if forces else np.zeros((K, n, 0))
+    D = np.broadcast_to(np.eye(n)[:, list(manifest.driven)], (K, n, len(manifest.driven)))
+    Phi, sides = bare + taken, np.concatenate((S, D), axis=2)
+    if manifest.loops:
+        jacobians = Closure(dynamics.kernels).jacobian(q)
+        rows = [_balance_closed(dynamics.kernels, *x) for x in zip(q, Phi, sides, jacobians, strict=True)]
+        found, multipliers, unbalanced, spare = (np.array(x) for x in zip(*rows, strict=True))
+    else:
+        found, unbalanced, spare = _balance_open(Phi, sides, np.finfo(float).eps * np.abs(bare).max(initial=1.0))
+        multipliers = np.zeros((K, 0))
+    return found[:, :forces], found[:, forces:], multipliers, unbalanced, spare
+
+
+def _balance_open(Phi: Array, sides: Array, rounding: float) -> tuple[Array, Array, Array]:
+    """Return u and tau, what is missing, and how many forces are spare, of a tree.
+
+    Sides are differences of residuals, with their rounding. Where they are the same at all times, they are solved once.
+    """
+    if np.abs(sides - sides[0]).max(initial=0.0) <= ROUNDINGS * rounding:
+        common = sides.mean(axis=0)
+        found, _, rank, _ = np.linalg.lstsq(common, Phi.T, rcond=RANK)
+        return found.T, Phi - found.T @ common.T, np.full(len(Phi), common.shape[1] - int(rank))
+    solved = [np.linalg.lstsq(A, b, rcond=RANK) for A, b in zip(sides, Phi, strict=True)]
+    found = np.array([x[0] for x in solved])
+    spare = np.array([sides.shape[2] - int(x[2]) for x in solved])
+    return found, Phi - np.einsum("knm,km->kn", sides, found), spare
+
+
+def _balance_closed(kernels: Kernels, q: Array, Phi: Array, sides: Array, J: Array) -> tuple[Array, Array, Array, int]:
+    """Return u and tau, lam, what is missing, and how many forces are spare, at one time."""
+    Z = null_space(J, rcond=RANK)
     found, _, rank, _ = np.linalg.lstsq(Z.T @ sides, Z.T @ Phi, rcond=RANK)
     rest = Phi - sides @ found
     unbalanced = Z @ (Z.T @ rest)
-    multipliers = Closure(dynamics.kernels).balance(q, rest - unbalanced) if len(J) else np.zeros(0)
-    spare = sides.shape[1] - int(rank)
-    return found[:forces], found[forces:], multipliers, unbalanced, spare
+    return found, Closure(kernels).balance(q, rest - unbalanced), unbalanced, sides.shape[1] - int(rank)
 
 
 def measure(forces: Forces, kernels: Kernels) -> Numbers:
