@@ -18,10 +18,15 @@ ROBOTS: Mapping[str, str] = {
 FOLDER = "cmeel.prefix/share/example-robot-data/robots"  # where the package example-robot-data puts them
 
 
+def find_file(name: str) -> Path | None:
+    """Return a robot's URDF; None where it is not there."""
+    files = (Path(entry) / FOLDER / ROBOTS[name] for entry in sys.path)
+    return next((file for file in files if file.is_file()), None)
+
+
 def find_robot(name: str, folder: Path) -> Path | None:
     """Write a robot's model file, its base on six joints, without damping and friction; None where it is not there."""
-    files = (Path(entry) / FOLDER / ROBOTS[name] for entry in sys.path)
-    file = next((file for file in files if file.is_file()), None)
+    file = find_file(name)
     if file is None:
         return None
     imported = import_model(file, Choices(name=name, base="floating", mimic="free"))

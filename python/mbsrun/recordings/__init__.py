@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from mbsrun.recordings.reading import READERS, find_column, name_coordinate, read_column, read_recording, spell
 from mbsrun.recordings.recording import AXES, Column, Recording
-from mbsrun.recordings.splines import SplineError, Track, Treatment, fit, stack
+from mbsrun.recordings.splines import SplineError, Track, Treatment, fit, fit_all, stack
 
 __all__ = [
     "AXES",
@@ -16,6 +16,7 @@ __all__ = [
     "Treatment",
     "find_column",
     "fit",
+    "fit_all",
     "name_coordinate",
     "read_column",
     "read_recording",

@@ -124,39 +124,67 @@ def _make(piece: Piece) -> BSpline:
     return BSpline(np.array(piece.knots), np.array(piece.coefficients), piece.degree)
 
 
+@lru_cache(maxsize=64)
+def _make_many(pieces: tuple[Piece, ...]) -> BSpline:
+    """Make one spline of pieces with the same knots."""
+    from scipy.interpolate import BSpline
+
+    columns = np.array([piece.coefficients for piece in pieces]).T
+    return BSpline(np.array(pieces[0].knots), np.ascontiguousarray(columns), pieces[0].degree)
+
+
 def fit(times: Array, values: Array, treatment: Treatment) -> Track:
     """Fit splines to samples (K,); NaN are gaps. Raises SplineError where noise or filter do not suit them.
 
     A sample that stands alone between two gaps is left out: it has no derivative.
     """
     known = np.isfinite(values)
-    t, y = times[known], values[known]
+    return _fit_known(times[known], values[known][:, None], times, treatment)[0]
+
+
+def fit_all(times: Array, values: Array, treatment: Treatment) -> list[Track]:
+    """Fit splines to columns of samples (K, m) as `fit` does; the columns without gaps are fitted at once."""
+    whole = np.flatnonzero(np.isfinite(values).all(axis=0)).tolist()
+    tracks = dict(zip(whole, _fit_known(times, values[:, whole], times, treatment), strict=True))
+    return [tracks[k] if k in tracks else fit(times, values[:, k], treatment) for k in range(values.shape[1])]
+
+
+def _fit_known(t: Array, values: Array, times: Array, treatment: Treatment) -> list[Track]:
+    """Fit splines to columns (k, m) that have samples at the same times t, of all times of a recording."""
     longest = max(treatment.gap, STEPS * float(np.median(np.diff(times)))) * (1 + 1e-9)
-    pieces = np.split(np.arange(len(t)), np.flatnonzero(np.diff(t) > longest) + 1)
-    return Track(tuple(_fit_piece(t[part], y[part], times, treatment) for part in pieces if part.size > 1))
+    parts = np.split(np.arange(len(t)), np.flatnonzero(np.diff(t) > longest) + 1)
+    fitted = [_fit_pieces(t[part], values[part], times, treatment) for part in parts if part.size > 1]
+    return [Track(tuple(pieces[k] for pieces in fitted)) for k in range(values.shape[1])]
 
 
-def _fit_piece(t: Array, y: Array, times: Array, treatment: Treatment) -> Piece:
-    from scipy.interpolate import make_interp_spline, splrep
+def _fit_pieces(t: Array, values: Array, times: Array, treatment: Treatment) -> list[Piece]:
+    """Fit a piece to each column (k, m)."""
+    from scipy.interpolate import make_interp_spline
 
     degree = treatment.degree
     if len(t) <= degree:
         degree = len(t) - 1 - (len(t) % 2 == 1)  # odd: 1 or 3
     if treatment.cutoff is not None:
         within = times[(times >= t[0]) & (times <= t[-1])]
-        y = low_pass(within, make_interp_spline(t, y, degree)(within) if len(within) > len(t) else y, treatment.cutoff)
-        t = within
-    if treatment.noise is None or len(t) <= degree + 1:
-        spline = make_interp_spline(t, y, degree)
-        knots, coefficients = spline.t, spline.c
-    else:
-        weights = np.full(len(t), 1 / treatment.noise)
-        (knots, coefficients, _), _, flag, _ = splrep(t, y, weights, k=degree, s=len(t), full_output=1, quiet=1)
-        if flag > 0:
-            finding = f"no spline was found that smooths noise of {treatment.noise:g} from t = {t[0]:g} to {t[-1]:g} s"
-            raise SplineError(finding, "give another noise; without one, the spline goes through the samples")
-        coefficients = coefficients[: len(knots) - degree - 1]
-    return Piece(degree, tuple(knots.tolist()), tuple(coefficients.tolist()))
+        even = make_interp_spline(t, values, degree)(within) if len(within) > len(t) else values
+        t, values = within, low_pass(within, even, treatment.cutoff)
+    if treatment.noise is not None and len(t) > degree + 1:
+        return [_smooth(t, column, degree, treatment.noise) for column in values.T]
+    spline = make_interp_spline(t, values, degree)
+    knots = tuple(spline.t.tolist())
+    columns: list[list[float]] = spline.c.T.tolist()
+    return [Piece(degree, knots, tuple(column)) for column in columns]
+
+
+def _smooth(t: Array, y: Array, degree: int, noise: float) -> Piece:
+    from scipy.interpolate import splrep
+
+    weights = np.full(len(t), 1 / noise)
+    (knots, coefficients, _), _, flag, _ = splrep(t, y, weights, k=degree, s=len(t), full_output=1, quiet=1)
+    if flag > 0:
+        finding = f"no spline was found that smooths noise of {noise:g} from t = {t[0]:g} to {t[-1]:g} s"
+        raise SplineError(finding, "give another noise; without one, the spline goes through the samples")
+    return Piece(degree, tuple(knots.tolist()), tuple(coefficients[: len(knots) - degree - 1].tolist()))
 
 
 def low_pass(t: Array, y: Array, cutoff: float) -> Array:
@@ -185,6 +213,14 @@ def count_gaps(times: Array, values: Array, treatment: Treatment) -> tuple[int, 
 
 
 def stack(tracks: Sequence[Track], times: Array, order: int = 0) -> Array:
-    """Evaluate tracks side by side: (K, tracks)."""
-    columns = [track.evaluate(times, order) for track in tracks]
-    return np.stack(columns, axis=-1) if columns else np.zeros((*times.shape, 0))
+    """Evaluate tracks side by side: (K, tracks); the ones in one piece with the same knots at once."""
+    if not tracks:
+        return np.zeros((*times.shape, 0))
+    firsts = [track.pieces[0] if len(track.pieces) == 1 else None for track in tracks]
+    first = firsts[0]
+    if first is None or any(p is None or (p.degree, p.knots) != (first.degree, first.knots) for p in firsts[1:]):
+        return np.stack([track.evaluate(times, order) for track in tracks], axis=-1)
+    within = _lie_within(first, times)
+    values = np.full((*times.shape, len(tracks)), np.nan)
+    values[within] = _make_many(tuple(p for p in firsts if p is not None))(times[within], nu=order)
+    return values

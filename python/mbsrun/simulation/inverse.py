@@ -36,7 +36,6 @@ PREDICTING = 3  # poses that the next one is extrapolated from
 LEAST, ROUNDED = 3, 1e-9  # rows that show a jump; a jump that counts [rad, m]
 OFF = 0.5  # the largest distance of a closed pose from its prediction, relative to the step
 ABREAST = 1000  # times that are computed at once
-ROUNDINGS = 64  # of a residual, in a difference of two
 JUMP = 0.25  # of a step, relative to its time and the speed: what the mean of both velocities leaves
 
 Report = Callable[[int, int], None]  # takes the number of finished times, and of all
@@ -217,39 +216,28 @@ def _balance_some(
     """Return u, tau, lam, the generalised forces that are missing, and how many forces are spare, of some times."""
     manifest, forces, (K, n) = dynamics.kernels.manifest, dynamics.forces_count, qd.shape
     v, lam = np.hstack((np.zeros((K, forces)), w)), np.zeros((K, len(manifest.owners)))
-    bare = dynamics.residual(q, qd, qdd, v, lam)
-    S = -dynamics.input_slopes(q, qd, qdd, v, lam)[:, :, :forces] if forces else np.zeros((K, n, 0))
-    D = np.broadcast_to(np.eye(n)[:, list(manifest.driven)], (K, n, len(manifest.driven)))
-    Phi, sides = bare + taken, np.concatenate((S, D), axis=2)
+    Phi = dynamics.residual(q, qd, qdd, v, lam) + taken
+    seen = slice(None if manifest.loops else 1)  # a force acts on its own coordinate: in a tree, alike at all times
+    state = q[seen], qd[seen], qdd[seen], v[seen], lam[seen]
+    S = -dynamics.input_slopes(*state)[:, :, :forces] if forces else np.zeros((len(state[0]), n, 0))
+    D = np.broadcast_to(np.eye(n)[:, list(manifest.driven)], (len(S), n, len(manifest.driven)))
+    sides = np.concatenate((S, D), axis=2)
     if manifest.loops:
         jacobians = Closure(dynamics.kernels).jacobian(q)
         rows = [_balance_closed(dynamics.kernels, *x) for x in zip(q, Phi, sides, jacobians, strict=True)]
         found, multipliers, unbalanced, spare = (np.array(x) for x in zip(*rows, strict=True))
     else:
-        found, unbalanced, spare = _balance_open(Phi, sides, np.finfo(float).eps * np.abs(bare).max(initial=1.0))
-        multipliers = np.zeros((K, 0))
+        solved, _, rank, _ = np.linalg.lstsq(sides[0], Phi.T, rcond=RANK)
+        found, multipliers, unbalanced = solved.T, np.zeros((K, 0)), Phi - solved.T @ sides[0].T
+        spare = np.full(K, sides.shape[2] - int(rank))
     return found[:, :forces], found[:, forces:], multipliers, unbalanced, spare
-
-
-def _balance_open(Phi: Array, sides: Array, rounding: float) -> tuple[Array, Array, Array]:
-    """Return u and tau, what is missing, and how many forces are spare, of a tree.
-
-    Sides are differences of residuals, with their rounding. Where they are the same at all times, they are solved once.
-    """
-    if np.abs(sides - sides[0]).max(initial=0.0) <= ROUNDINGS * rounding:
-        common = sides.mean(axis=0)
-        found, _, rank, _ = np.linalg.lstsq(common, Phi.T, rcond=RANK)
-        return found.T, Phi - found.T @ common.T, np.full(len(Phi), common.shape[1] - int(rank))
-    solved = [np.linalg.lstsq(A, b, rcond=RANK) for A, b in zip(sides, Phi, strict=True)]
-    found = np.array([x[0] for x in solved])
-    spare = np.array([sides.shape[2] - int(x[2]) for x in solved])
-    return found, Phi - np.einsum("knm,km->kn", sides, found), spare
 
 
 def _balance_closed(kernels: Kernels, q: Array, Phi: Array, sides: Array, J: Array) -> tuple[Array, Array, Array, int]:
     """Return u and tau, lam, what is missing, and how many forces are spare, at one time."""
     Z = null_space(J, rcond=RANK)
-    found, _, rank, _ = np.linalg.lstsq(Z.T @ sides, Z.T @ Phi, rcond=RANK)
+    solved, _, rank, _ = np.linalg.lstsq(Z.T @ sides, Z.T @ Phi, rcond=RANK)
+    found = np.asarray(solved, dtype=float)
     rest = Phi - sides @ found
     unbalanced = Z @ (Z.T @ rest)
     return found, Closure(kernels).balance(q, rest - unbalanced), unbalanced, sides.shape[1] - int(rank)

@@ -24,7 +24,18 @@ from mbsgen.manifest import TIME, Manifest, Wrench
 from mbsrun.closure import Closure
 from mbsrun.external import Mechanism
 from mbsrun.quaternions import find_velocities, list_places, normalise
-from mbsrun.recordings import AXES, Recording, Track, Treatment, find_column, fit, name_coordinate, read_column, stack
+from mbsrun.recordings import (
+    AXES,
+    Recording,
+    Track,
+    Treatment,
+    find_column,
+    fit,
+    fit_all,
+    name_coordinate,
+    read_column,
+    stack,
+)
 from mbsrun.recordings.reading import refuse_column
 from mbsrun.recordings.splines import count_gaps
 from mbsrun.simulation.course import Course
@@ -130,20 +141,19 @@ def _fit_coordinates(
 ) -> tuple[dict[str, Track], int, int]:
     """Fit splines to all coordinates that have a column; each must have one, unless a few determine the others."""
     is_short = bool(manifest.loops) and set(manifest.independent) <= set(_pair_alone(manifest))
-    units, tracks, faults = {c.name: c.unit for c in manifest.coordinates}, {}, []
-    bridged = left_open = 0
+    units, found, faults = {c.name: c.unit for c in manifest.coordinates}, {}, []
     for name in manifest.positions:
         column = columns.get(name) or find_column(recording, name_coordinate(name))
         if column is not None:
-            samples = read_column(recording, column, units.get(name, ""))
-            tracks[name] = fit(recording.times, samples, treatment)
-            found = count_gaps(recording.times, samples, treatment)
-            bridged, left_open = bridged + found[0], left_open + found[1]
+            found[name] = read_column(recording, column, units.get(name, ""))
         elif not is_short:
             faults.append(refuse_column(recording, name_coordinate(name)[0]).faults[0])
     if faults:
         raise InputError(faults)
-    return tracks, bridged, left_open
+    samples = np.stack([*found.values()], axis=1) if found else np.zeros((len(recording.times), 0))
+    gaps = [count_gaps(recording.times, column, treatment) for column in samples.T]
+    tracks = fit_all(recording.times, samples, treatment)
+    return dict(zip(found, tracks, strict=True)), sum(gap[0] for gap in gaps), sum(gap[1] for gap in gaps)
 
 
 def _move(kernels: Mechanism, tracks: Mapping[str, Track], times: Array) -> tuple[Array, Array, Array]:

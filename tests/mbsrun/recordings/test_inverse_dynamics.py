@@ -12,8 +12,10 @@ from mbsgen.errors import InputError
 from mbsrun import cli, load
 from mbsrun.external import Mechanism
 from mbsrun.models import INTEGRATED
+from mbsrun.quaternions import normalise
 from mbsrun.recordings import Treatment, read_recording
 from mbsrun.recordings.fitting import FITTED
+from mbsrun.simulation.inverse import balance
 from mbsrun.simulation.recorded import Load, analyse, scale
 from tests.recordings_made import FOLDER, FORE, UPPER, swing
 
@@ -134,6 +136,39 @@ def test_the_inputs_of_a_simulation_come_back(
 ) -> None:
     """The table of `mbsrun simulate` is read back: quaternions, closed loops, and the inputs that moved them."""
     check_inputs(MODELS / f"{model}.yaml", start, inputs, tmp_path, monkeypatch)
+
+
+GRIPPER = """
+name: gripper
+gravity: [0, 0, -9.81]
+bodies:
+  - {name: palm, parent: base, joint: {type: revolute, axis: y, name: turn, actuated: false}, mass: 1,
+     com: [0, 0, 0.2], inertia: [0.1, 0.1, 0.1]}
+  - {name: left, parent: palm, joint: {type: prismatic, axis: y, name: grip}, mass: 0.3, com: [0.1, 0, 0.1],
+     inertia: [0.01, 0.01, 0.01]}
+  - {name: right, parent: palm, joint: {type: prismatic, axis: -y, follows: {joint: grip, ratio: 2}}, mass: 0.2,
+     com: [0.1, 0, 0.1], inertia: [0.01, 0.01, 0.01]}
+"""
+
+
+@pytest.mark.parametrize("name", ["gripper", "satellite", "cart_pole", "branched"])
+def test_many_times_are_balanced_as_each_one_alone(name: str, tmp_path: Path) -> None:
+    """With joints without a force, quaternions, and a joint that follows another, in any states."""
+    model = MODELS / f"{name}.yaml" if name != "gripper" else tmp_path / "gripper.yaml"
+    if name == "gripper":
+        model.write_text(GRIPPER, "utf-8")
+    kernels = load(model, extent=INTEGRATED)
+    rng, n = np.random.default_rng(5), len(kernels.manifest.coordinates)
+    q = normalise(rng.normal(size=(7, len(kernels.manifest.positions))), kernels.manifest)
+    qd, qdd = rng.normal(size=(2, 7, n))
+    t, w = np.arange(7.0), np.zeros((7, kernels.manifest.open_entries))
+    together = balance(kernels, t, q, qd, qdd, w)
+    for k in range(7):
+        one = slice(k, k + 1)
+        alone = balance(kernels, t[one], q[one], qd[one], qdd[one], w[one])
+        for part in ("u", "tau", "rest"):
+            np.testing.assert_allclose(getattr(together, part)[one], getattr(alone, part), atol=1e-11)
+        assert together.spare == alone.spare
 
 
 def test_a_loop_that_a_quaternion_determines_is_read_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

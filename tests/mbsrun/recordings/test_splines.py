@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mbsrun.recordings import SplineError, Treatment, fit
+from mbsrun.recordings import SplineError, Treatment, fit, fit_all, stack
 from mbsrun.recordings.references import Reference, evaluate
 from mbsrun.recordings.splines import count_gaps
 
@@ -84,3 +84,19 @@ def test_normalised_references_span_the_recording_from_their_start_to_their_end(
     walk = Reference("walk", (("x", fit(times, times, Treatment())),), 0.2, 0.4, is_normalised=True)
     found = evaluate("ref_walk_x", [walk], np.array([0.0, 0.5, 1.0]), None)
     assert found == pytest.approx([0.2, 0.3, 0.4], abs=1e-12)
+
+
+@pytest.mark.parametrize("treatment", [Treatment(), Treatment(gap=0.3), Treatment(cutoff=6.0), Treatment(noise=0.01)])
+@pytest.mark.parametrize("gaps", [(), (7,), (20, 21, 22, 23)])
+def test_many_columns_are_fitted_as_each_one_alone(
+    treatment: Treatment, gaps: tuple[int, ...], rng: np.random.Generator
+) -> None:
+    """Columns with and without gaps, and their values and rates side by side; unknown ones stay so."""
+    values = np.sin(3 * T)[:, None] * [1.0, 2.0, 0.5] + 0.01 * rng.normal(size=(len(T), 3))
+    values[list(gaps), 1] = np.nan
+    together, times = fit_all(T, values, treatment), np.linspace(-0.1, 2.1, 60)
+    for order in range(3):
+        expected = np.stack([fit(T, column, treatment).evaluate(times, order) for column in values.T], axis=1)
+        for some in ([0, 1, 2], [0, 2]):
+            found = stack([together[k] for k in some], times, order)
+            np.testing.assert_allclose(found, expected[:, some], rtol=1e-9, atol=1e-9)
