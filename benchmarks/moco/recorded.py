@@ -29,13 +29,12 @@ from mbsrun.simulation.recorded import analyse
 Array = NDArray[np.float64]
 SECONDS, RATE = 60.0, 100.0
 ROUNDS = 9
-PAGE = Path(__file__).parents[1] / "results" / "recorded.md"
 
 
 def main() -> None:
     """Measure, print and write the page."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("-o", "--out", type=Path, default=PAGE, help="the page")
+    parser.add_argument("--out", type=Path, default=Path("build/recorded.md"), help="the page")
     parser.add_argument("--folder", type=Path, default=Path("build/recorded"))
     given = parser.parse_args()
     given.folder.mkdir(parents=True, exist_ok=True)
@@ -44,6 +43,7 @@ def main() -> None:
         parser.exit(2, "the package example-robot-data is not installed\n")
     page = write_page(measure(mbsrun.load(file, extent=INTEGRATED)))
     print(page)
+    given.out.parent.mkdir(parents=True, exist_ok=True)
     given.out.write_text(page, encoding="utf-8")
 
 
