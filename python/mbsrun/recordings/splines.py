@@ -172,8 +172,8 @@ def _fit_pieces(t: Array, values: Array, times: Array, treatment: Treatment) -> 
         return [_smooth(t, column, degree, treatment.noise) for column in values.T]
     spline = make_interp_spline(t, values, degree)
     knots = tuple(spline.t.tolist())
-    columns: list[list[float]] = spline.c.T.tolist()
-    return [Piece(degree, knots, tuple(column)) for column in columns]
+    columns: Array = np.asarray(spline.c).reshape(-1, values.shape[1])
+    return [Piece(degree, knots, tuple(columns[:, k].tolist())) for k in range(values.shape[1])]
 
 
 def _smooth(t: Array, y: Array, degree: int, noise: float) -> Piece:
