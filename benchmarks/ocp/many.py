@@ -203,9 +203,8 @@ def write(rows: Sequence[Measured], machine: str, remark: str) -> str:
         "From neighbours, a layer of cases is solved in one call of C and judged at once, and motions are read when",
         "somebody looks at them. Few cases are stated, as they differ in numbers alone. The rest of the time is the",
         "judge's, and the solver's iterations. Starts save few of these where many limits are active, as at the arm's",
-        "inputs: the limits that bind change from target to target, and a start with a tenth of the mixture's error",
-        "still takes four fifths of its iterations. Cases far apart, as the Panda's reaches in seven dimensions, find",
-        "no neighbours: ways from the nearest one in two or three steps take more iterations than guesses do.",
+        "inputs: the limits that bind change from target to target. Cases far apart, as the Panda's reaches in seven",
+        "dimensions, find no neighbours.",
         "The solver computes with vectors within a problem, over stages and columns, and not over problems.",
     ]
     return "\n".join(lines) + "\n"

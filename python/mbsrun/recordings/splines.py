@@ -145,7 +145,8 @@ def fit(times: Array, values: Array, treatment: Treatment) -> Track:
 def fit_all(times: Array, values: Array, treatment: Treatment) -> list[Track]:
     """Fit splines to columns of samples (K, m) as `fit` does; the columns without gaps are fitted at once."""
     whole = np.flatnonzero(np.isfinite(values).all(axis=0)).tolist()
-    tracks = dict(zip(whole, _fit_known(times, values[:, whole], times, treatment), strict=True))
+    fitted = _fit_known(times, values[:, whole], times, treatment) if whole else []
+    tracks = dict(zip(whole, fitted, strict=True))
     return [tracks[k] if k in tracks else fit(times, values[:, k], treatment) for k in range(values.shape[1])]
 
 

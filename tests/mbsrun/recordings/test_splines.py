@@ -100,3 +100,4 @@ def test_many_columns_are_fitted_as_each_one_alone(
         for some in ([0, 1, 2], [0, 2]):
             found = stack([together[k] for k in some], times, order)
             np.testing.assert_allclose(found, expected[:, some], rtol=1e-9, atol=1e-9)
+    assert fit_all(T, values[:, :0], treatment) == []
