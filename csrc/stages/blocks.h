@@ -98,6 +98,36 @@ static inline int mbs_stages_lines(int width)
     return MBS_STAGES_WIDE ? (width + MBS_STAGES_LINE - 1) / MBS_STAGES_LINE * MBS_STAGES_LINE : width;
 }
 
+/* Panels of long rows: as many vectors as stay in registers. DEFINE(count) is repeated for each number of vectors there is,
+ * and CALL(count) for each panel of `width` numbers from c on. */
+#if MBS_STAGES_WIDE
+typedef wide mbs_stages_panel;
+#define MBS_STAGES_PANELS(DEFINE) DEFINE(4) DEFINE(3) DEFINE(2) DEFINE(1)
+#define MBS_STAGES_EACH_PANEL(c, width, CALL) \
+    do { \
+        for (; (c) + 3 * MBS_STAGES_LINE < (width); (c) += 4 * MBS_STAGES_LINE) \
+            CALL(4); \
+        if ((c) + 2 * MBS_STAGES_LINE < (width)) \
+            CALL(3); \
+        else if ((c) + MBS_STAGES_LINE < (width)) \
+            CALL(2); \
+        else if ((c) < (width)) \
+            CALL(1); \
+    } while (0)
+#else
+typedef lanes mbs_stages_panel;
+#define MBS_STAGES_PANELS(DEFINE) DEFINE(4) DEFINE(2) DEFINE(1)
+#define MBS_STAGES_EACH_PANEL(c, width, CALL) \
+    do { \
+        for (; (c) + 4 * MBS_STAGES_LANES <= (width); (c) += 4 * MBS_STAGES_LANES) \
+            CALL(4); \
+        for (; (c) + 2 * MBS_STAGES_LANES <= (width); (c) += 2 * MBS_STAGES_LANES) \
+            CALL(2); \
+        for (; (c) < (width); (c) += MBS_STAGES_LANES) \
+            CALL(1); \
+    } while (0)
+#endif
+
 real mbs_stages_dot(int width, const real *a, const real *b);
 
 /* out += factor row, and out = factor row; `row` may be `out` of the second one */

@@ -78,61 +78,37 @@ void mbs_stages_matrix_apply_symmetric(const mbs_stages_matrix *A, const real *x
 
 #if MBS_STAGES_ROOMY
 /* For COUNT vectors of columns. */
-#define MULTIPLY_ROWS(NAME, VECTOR, COUNT)                                                                            \
-    static void NAME(const mbs_stages_matrix *A, const mbs_stages_part *part, size_t ld, const real *restrict V,      \
-                     real *restrict Z)                                                                                \
-    {                                                                                                                 \
-        const real *from = V;                                                                                         \
-        int j, l, c;                                                                                                  \
-        for (j = 0; j < part->count; ++j, from += ld, Z += ld) {                                                      \
-            VECTOR sum[COUNT];                                                                                        \
-            for (c = 0; c < COUNT; ++c) {                                                                             \
-                sum[c] = ((const VECTOR *)from)[c];                                                                   \
-                LANES_SCALE(sum[c], part->diagonal[j]);                                                               \
-            }                                                                                                         \
-            for (l = part->begin[j]; l < part->end[j]; ++l) {                                                         \
-                const VECTOR *row = (const VECTOR *)(V + (size_t)(A->row[l] - part->first) * ld);                     \
-                const real a = A->value[l];                                                                           \
-                for (c = 0; c < COUNT; ++c)                                                                           \
-                    LANES_ADD(sum[c], a, row[c]);                                                                     \
-            }                                                                                                         \
-            for (c = 0; c < COUNT; ++c)                                                                               \
-                ((VECTOR *)Z)[c] = sum[c];                                                                            \
-        }                                                                                                             \
+#define MULTIPLY_ROWS(COUNT) \
+    static void multiply_panel_##COUNT(const mbs_stages_matrix *A, const mbs_stages_part *part, size_t ld, \
+                                       const real *restrict V, real *restrict Z) \
+    { \
+        const real *from = V; \
+        int j, l, c; \
+        for (j = 0; j < part->count; ++j, from += ld, Z += ld) { \
+            mbs_stages_panel sum[COUNT]; \
+            for (c = 0; c < COUNT; ++c) { \
+                sum[c] = ((const mbs_stages_panel *)from)[c]; \
+                LANES_SCALE(sum[c], part->diagonal[j]); \
+            } \
+            for (l = part->begin[j]; l < part->end[j]; ++l) { \
+                const mbs_stages_panel *row = (const mbs_stages_panel *)(V + (size_t)(A->row[l] - part->first) * ld); \
+                const real a = A->value[l]; \
+                for (c = 0; c < COUNT; ++c) \
+                    LANES_ADD(sum[c], a, row[c]); \
+            } \
+            for (c = 0; c < COUNT; ++c) \
+                ((mbs_stages_panel *)Z)[c] = sum[c]; \
+        } \
     }
-#if MBS_STAGES_WIDE
-MULTIPLY_ROWS(multiply_wide_4, wide, 4)
-MULTIPLY_ROWS(multiply_wide_3, wide, 3)
-MULTIPLY_ROWS(multiply_wide_2, wide, 2)
-MULTIPLY_ROWS(multiply_wide_1, wide, 1)
-#else
-MULTIPLY_ROWS(multiply_lanes_4, lanes, 4)
-MULTIPLY_ROWS(multiply_lanes_2, lanes, 2)
-MULTIPLY_ROWS(multiply_lanes, lanes, 1)
-#endif
+MBS_STAGES_PANELS(MULTIPLY_ROWS)
+#define MULTIPLY_PANEL(COUNT) multiply_panel_##COUNT(A, part, w, V + c, Z + c)
 
 void mbs_stages_matrix_multiply_rows(const mbs_stages_matrix *A, const mbs_stages_part *part, int width, int ld,
                                      const real *V, real *Z)
 {
     const size_t w = (size_t)ld;
     int c = 0;
-#if MBS_STAGES_WIDE
-    for (; c + 3 * MBS_STAGES_LINE < width; c += 4 * MBS_STAGES_LINE)
-        multiply_wide_4(A, part, w, V + c, Z + c);
-    if (c + 2 * MBS_STAGES_LINE < width)
-        multiply_wide_3(A, part, w, V + c, Z + c);
-    else if (c + MBS_STAGES_LINE < width)
-        multiply_wide_2(A, part, w, V + c, Z + c);
-    else if (c < width)
-        multiply_wide_1(A, part, w, V + c, Z + c);
-#else
-    for (; c + 4 * MBS_STAGES_LANES <= width; c += 4 * MBS_STAGES_LANES)
-        multiply_lanes_4(A, part, w, V + c, Z + c);
-    for (; c + 2 * MBS_STAGES_LANES <= width; c += 2 * MBS_STAGES_LANES)
-        multiply_lanes_2(A, part, w, V + c, Z + c);
-    for (; c < width; c += MBS_STAGES_LANES)
-        multiply_lanes(A, part, w, V + c, Z + c);
-#endif
+    MBS_STAGES_EACH_PANEL(c, width, MULTIPLY_PANEL);
 }
 #endif
 

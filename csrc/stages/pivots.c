@@ -490,75 +490,52 @@ void mbs_stages_solve_together_transposed(const mbs_stages_pivots *p, const mbs_
 
 #if MBS_STAGES_ROOMY
 /* For COUNT vectors of columns. */
-#define SOLVE_ROWS(NAME, VECTOR, COUNT)                                                                               \
-    static void NAME(const mbs_stages_pivots *p, const mbs_stages_factors *f, size_t lane, size_t ld, real *R, real *X) \
-    {                                                                                                                 \
-        const size_t step = MBS_STAGES_TOGETHER;                                                                      \
-        VECTOR sum[COUNT];                                                                                            \
-        int i, t, c;                                                                                                  \
-        for (i = 0; i < p->n; ++i) {                                                                                  \
-            VECTOR *row = (VECTOR *)(R + (size_t)p->row[i] * ld);                                                     \
-            const real pivot = f->inverse[(size_t)i * step + lane];                                                   \
-            for (c = 0; c < COUNT; ++c)                                                                               \
-                sum[c] = row[c];                                                                                      \
-            for (t = p->lower[i]; t < p->lower[i + 1]; ++t) {                                                         \
-                const VECTOR *other = (const VECTOR *)(R + (size_t)p->lower_row[t] * ld);                             \
-                const real x = f->lower[(size_t)t * step + lane];                                                     \
-                for (c = 0; c < COUNT; ++c)                                                                           \
-                    LANES_ADD(sum[c], x, other[c]);                                                                   \
-            }                                                                                                         \
-            for (c = 0; c < COUNT; ++c) {                                                                             \
-                LANES_SCALE(sum[c], pivot);                                                                           \
-                row[c] = sum[c];                                                                                      \
-            }                                                                                                         \
-        }                                                                                                             \
-        for (i = p->n - 1; i >= 0; --i) {                                                                             \
-            const VECTOR *row = (const VECTOR *)(R + (size_t)p->row[i] * ld);                                         \
-            VECTOR *to = (VECTOR *)(X + (size_t)p->column[i] * ld);                                                   \
-            for (c = 0; c < COUNT; ++c)                                                                               \
-                sum[c] = row[c];                                                                                      \
-            for (t = p->upper[i]; t < p->upper[i + 1]; ++t) {                                                         \
-                const VECTOR *other = (const VECTOR *)(X + (size_t)p->upper_column[t] * ld);                          \
-                const real x = f->upper[(size_t)t * step + lane];                                                     \
-                for (c = 0; c < COUNT; ++c)                                                                           \
-                    LANES_ADD(sum[c], x, other[c]);                                                                   \
-            }                                                                                                         \
-            for (c = 0; c < COUNT; ++c)                                                                               \
-                to[c] = sum[c];                                                                                       \
-        }                                                                                                             \
+#define SOLVE_ROWS(COUNT) \
+    static void solve_panel_##COUNT(const mbs_stages_pivots *p, const mbs_stages_factors *f, size_t lane, size_t ld, \
+                                    real *R, real *X) \
+    { \
+        const size_t step = MBS_STAGES_TOGETHER; \
+        mbs_stages_panel sum[COUNT]; \
+        int i, t, c; \
+        for (i = 0; i < p->n; ++i) { \
+            mbs_stages_panel *row = (mbs_stages_panel *)(R + (size_t)p->row[i] * ld); \
+            const real pivot = f->inverse[(size_t)i * step + lane]; \
+            for (c = 0; c < COUNT; ++c) \
+                sum[c] = row[c]; \
+            for (t = p->lower[i]; t < p->lower[i + 1]; ++t) { \
+                const mbs_stages_panel *other = (const mbs_stages_panel *)(R + (size_t)p->lower_row[t] * ld); \
+                const real x = f->lower[(size_t)t * step + lane]; \
+                for (c = 0; c < COUNT; ++c) \
+                    LANES_ADD(sum[c], x, other[c]); \
+            } \
+            for (c = 0; c < COUNT; ++c) { \
+                LANES_SCALE(sum[c], pivot); \
+                row[c] = sum[c]; \
+            } \
+        } \
+        for (i = p->n - 1; i >= 0; --i) { \
+            const mbs_stages_panel *row = (const mbs_stages_panel *)(R + (size_t)p->row[i] * ld); \
+            mbs_stages_panel *to = (mbs_stages_panel *)(X + (size_t)p->column[i] * ld); \
+            for (c = 0; c < COUNT; ++c) \
+                sum[c] = row[c]; \
+            for (t = p->upper[i]; t < p->upper[i + 1]; ++t) { \
+                const mbs_stages_panel *other = (const mbs_stages_panel *)(X + (size_t)p->upper_column[t] * ld); \
+                const real x = f->upper[(size_t)t * step + lane]; \
+                for (c = 0; c < COUNT; ++c) \
+                    LANES_ADD(sum[c], x, other[c]); \
+            } \
+            for (c = 0; c < COUNT; ++c) \
+                to[c] = sum[c]; \
+        } \
     }
-#if MBS_STAGES_WIDE
-SOLVE_ROWS(solve_wide_4, wide, 4)
-SOLVE_ROWS(solve_wide_3, wide, 3)
-SOLVE_ROWS(solve_wide_2, wide, 2)
-SOLVE_ROWS(solve_wide_1, wide, 1)
-#else
-SOLVE_ROWS(solve_lanes_4, lanes, 4)
-SOLVE_ROWS(solve_lanes_2, lanes, 2)
-SOLVE_ROWS(solve_lanes, lanes, 1)
-#endif
+MBS_STAGES_PANELS(SOLVE_ROWS)
+#define SOLVE_PANEL(COUNT) solve_panel_##COUNT(p, f, at, w, R + c, X + c)
 
 void mbs_stages_solve_rows(const mbs_stages_pivots *p, const mbs_stages_factors *f, int lane, int width, int ld, real *R,
                            real *X)
 {
     const size_t at = (size_t)lane, w = (size_t)ld;
     int c = 0;
-#if MBS_STAGES_WIDE
-    for (; c + 3 * MBS_STAGES_LINE < width; c += 4 * MBS_STAGES_LINE)
-        solve_wide_4(p, f, at, w, R + c, X + c);
-    if (c + 2 * MBS_STAGES_LINE < width)
-        solve_wide_3(p, f, at, w, R + c, X + c);
-    else if (c + MBS_STAGES_LINE < width)
-        solve_wide_2(p, f, at, w, R + c, X + c);
-    else if (c < width)
-        solve_wide_1(p, f, at, w, R + c, X + c);
-#else
-    for (; c + 4 * MBS_STAGES_LANES <= width; c += 4 * MBS_STAGES_LANES)
-        solve_lanes_4(p, f, at, w, R + c, X + c);
-    for (; c + 2 * MBS_STAGES_LANES <= width; c += 2 * MBS_STAGES_LANES)
-        solve_lanes_2(p, f, at, w, R + c, X + c);
-    for (; c < width; c += MBS_STAGES_LANES)
-        solve_lanes(p, f, at, w, R + c, X + c);
-#endif
+    MBS_STAGES_EACH_PANEL(c, width, SOLVE_PANEL);
 }
 #endif
